@@ -1,0 +1,242 @@
+"""Every parameter of the package, once, with its unit and its source.
+
+The paper's Tables 1 and 2 are copied as printed. Where the paper is silent the value is a *reading* of its text or
+*our choice*, and the reason stands beside it. Nothing else in the package holds a physical number.
+
+State order, names, labels and units are declared here and nowhere else.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+
+class Signal(NamedTuple):
+    """A named, labelled quantity: ``name`` in bags and tables, ``label`` (mathtext) in figures, ``unit`` in SI."""
+
+    name: str
+    label: str
+    unit: str
+
+
+STATES = (
+    Signal("x", "$x$", "m"),
+    Signal("x_dot", r"$\dot x$", "m/s"),
+    Signal("y", "$y$", "m"),
+    Signal("y_dot", r"$\dot y$", "m/s"),
+    Signal("a", "$a$", "m"),
+    Signal("a_dot", r"$\dot a$", "m/s"),
+    Signal("b", "$b$", "m"),
+    Signal("b_dot", r"$\dot b$", "m/s"),
+    Signal("phi", r"$\phi$", "rad"),
+    Signal("theta", r"$\theta$", "rad"),
+)
+"""The ten states of the prediction model, in the paper's order (its state vector, section 2.2)."""
+
+INPUTS = (Signal("omega_x", r"$\omega_x$", "rad/s"), Signal("omega_y", r"$\omega_y$", "rad/s"))
+"""The two inputs of the prediction model: body rates about x (roll) and y (pitch)."""
+
+STATE_NAMES = tuple(signal.name for signal in STATES)
+X, X_DOT, Y, Y_DOT, A, A_DOT, B, B_DOT, PHI, THETA = range(len(STATES))
+
+
+class Axis(NamedTuple):
+    """One of the two decoupled halves of the prediction model, brought to the common form (s, s', d, d', tilt; rate).
+
+    ``states`` are indices into ``STATES``, ``input`` into ``INPUTS``. A positive pitch accelerates along +x, a
+    positive roll along -y: multiplying the tilt and the rate by ``sign`` makes the two halves one and the same system.
+    """
+
+    states: tuple[int, ...]
+    input: int
+    sign: float
+
+
+AXES = (Axis((X, X_DOT, A, A_DOT, THETA), 1, +1.0), Axis((Y, Y_DOT, B, B_DOT, PHI), 0, -1.0))
+
+GRAVITY = 9.81
+"""Standard acceleration of free fall, rounded, m/s^2 (the paper gives no value)."""
+
+
+def quantity(default: Any, unit: str, source: str) -> Any:
+    """A dataclass field that carries its unit and its source."""
+    return field(default=default, metadata={"unit": unit, "source": source})
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The quadcopter."""
+
+    mass: float = quantity(0.569, "kg", "paper, Table 1")
+    max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
+    seat_height: float = quantity(0.08, "m", "paper, section 3: recess above the frame; drawn, not modelled")
+    max_thrust: float = quantity(
+        32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); only scales normalised thrust"
+    )
+    wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
+    propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """The rod. Its centre of mass lies at half its length, as the paper assumes."""
+
+    mass: float = quantity(0.032, "kg", "paper, Table 1")
+    length: float = quantity(1.0, "m", "paper, Table 1")
+    gyration_ratio: float = quantity(
+        1.0 / 12.0, "1", "our choice: k^2/l^2 of a uniform rod; the paper's model (0) has no inertia about the COM"
+    )
+
+    @property
+    def inertia_factor(self) -> float:
+        """lambda = r^2 / (r^2 + k^2) with r = l/2: 1 for a point mass, 3/4 for a uniform rod."""
+        return 0.25 / (0.25 + self.gyration_ratio)
+
+
+@dataclass(frozen=True)
+class Control:
+    """The optimal control problem: horizon, weights, bounds. Diagonals in the order of ``STATES`` and ``INPUTS``."""
+
+    nodes: int = quantity(60, "1", "paper, Table 2: N")
+    horizon: float = quantity(6.0, "s", "paper, Table 2: t_f")
+    state_weights: tuple[float, ...] = quantity(
+        (20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
+        "1/unit^2",
+        "our choice: Q; heavy on a, b, so that a wrong length flies",
+    )
+    input_weights: tuple[float, ...] = quantity((0.5, 0.5), "s^2/rad^2", "our choice: R")
+    terminal_factor: float = quantity(10.0, "1", "our choice: P = factor * Q")
+    state_bounds: tuple[float, ...] = quantity(
+        (2.5, 2.5, 2.5, 2.5, 0.15, 1.0, 0.15, 1.0, 0.4, 0.4),
+        "unit of the state",
+        "our choice: |x| <= bound; the flying space, and where the linear model still holds",
+    )
+    slack_weight: float = quantity(
+        1e4, "1/unit^2", "our choice: price of the squared violation of a state bound (bounds on states are soft)"
+    )
+
+    @property
+    def step(self) -> float:
+        """Prediction step in s: horizon / nodes."""
+        return self.horizon / self.nodes
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """The length estimator: window, schedule, genetic algorithm, Kalman filter."""
+
+    window: int = quantity(55, "samples", "paper, Table 2: t_w")
+    sample_period: float = quantity(
+        0.1, "s", "reading: the MPC's own step; at 1/120 s the window (0.46 s) barely holds the length"
+    )
+    run_period: float = quantity(0.2, "s", "reading of '0.2 Hz': a 0.2 s period; the other reading is 5.0 s")
+    length_min: float = quantity(0.2, "m", "paper, Table 2: l_min")
+    length_max: float = quantity(2.0, "m", "paper, Table 2: l_max")
+    resolution: float = quantity(1e-4, "m", "paper, section 2.3: resolution of the chromosome")
+    population: int = quantity(60, "1", "our choice: N_c; r_p = 0.167 suggests a multiple of 6")
+    generations: int = quantity(20, "1", "our choice: generations per run")
+    elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p")
+    mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit")
+    median_length: int = quantity(5, "runs", "our choice: length of the median filter over successive runs")
+    fitness: str = quantity(
+        "rk4_likelihood", "-", "reading: a name in kalman.READINGS; 'paper' is the printed formula"
+    )
+    process_noise: tuple[float, ...] = quantity(
+        (1e-6, 1e-3, 1e-6, 1e-3, 1e-6, 1e-3, 1e-6, 1e-3, 1e-5, 1e-5), "unit^2", "our choice: diagonal of Q_e per step"
+    )
+    measurement_noise: tuple[float, ...] = quantity(
+        (1e-6, 4e-4, 1e-6, 4e-4, 1e-6, 4e-4, 1e-6, 4e-4, 1e-5, 1e-5), "unit^2", "our choice: diagonal of R_e"
+    )
+
+
+@dataclass(frozen=True)
+class Piloting:
+    """Everything of the controller around the MPC: rates, filters, PID loops, hand-over of the length."""
+
+    mocap_rate: float = quantity(240.0, "Hz", "paper, section 3")
+    control_rate: float = quantity(120.0, "Hz", "paper, section 3")
+    initial_length: float = quantity(1.0, "m", "per flight: length l0 that the MPC starts with")
+    estimate: bool = quantity(False, "-", "per flight: whether the length is estimated in flight")
+    length_step: float = quantity(
+        math.inf, "m", "largest change of the used length per hand-over; infinite as printed, finite as its conclusion"
+    )
+    pendulum_measurement: str = quantity(
+        "position", "-", "reading: 'position' of the COM, or 'direction' of the rod times half the used length"
+    )
+    velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
+    altitude_gains: tuple[float, float, float] = quantity(
+        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: proportional, integral, derivative"
+    )
+    altitude_integral_limit: float = quantity(2.0, "m/s^2", "our choice: bound of the integral's share")
+    yaw_gains: tuple[float, float, float] = quantity(
+        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: proportional, integral, derivative"
+    )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
+
+    plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
+    rate_delay: float = quantity(12.5e-3, "s", "measured on Betaflight in the loop: 12 to 16 ms from command to motion")
+    rate_lag: float = quantity(15e-3, "s", "measured on Betaflight in the loop: 10 to 15 ms, first order")
+    thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
+    mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame")
+    position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a tracked body")
+    attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a tracked body")
+
+
+@dataclass(frozen=True)
+class Params:
+    """All parameters of one flight. ``replace`` changes some of them; ``to_dict`` is what a bag carries."""
+
+    vehicle: Vehicle = Vehicle()
+    pendulum: Pendulum = Pendulum()
+    control: Control = Control()
+    estimation: Estimation = Estimation()
+    piloting: Piloting = Piloting()
+    simulation: Simulation = Simulation()
+
+    def replace(self, **changes: Any) -> "Params":
+        """A copy with some fields changed, each named ``group__field``: ``params.replace(pendulum__length=0.8)``.
+
+        Raises:
+            ValueError: a name is not a parameter; the message lists the near ones.
+        """
+        groups: dict[str, dict[str, Any]] = {}
+        for name, value in changes.items():
+            group, _, key = name.partition("__")
+            if key not in getattr(getattr(self, group, None), "__dataclass_fields__", ()):
+                known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
+                raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
+            groups.setdefault(group, {})[key] = tuple(value) if isinstance(value, list) else value
+        return dataclasses.replace(
+            self, **{group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
+        )
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``)."""
+
+        def plain(value: Any) -> Any:
+            return "inf" if value == math.inf else value
+
+        return {
+            group: {key: plain(value) for key, value in values.items()}
+            for group, values in dataclasses.asdict(self).items()
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, dict[str, Any]]) -> "Params":
+        """The inverse of ``to_dict``; parameters that are absent keep their default.
+
+        Raises:
+            ValueError: a group or field is not known here.
+        """
+        return cls().replace(
+            **{
+                f"{group}__{key}": math.inf if value == "inf" else value
+                for group, fields in values.items()
+                for key, value in fields.items()
+            }
+        )

@@ -1,0 +1,173 @@
+"""The frame around the library: lock, environments, Makefile, README and repository agree with each other."""
+
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+import pytest
+from conftest import NUMERIC_ENVIRONMENT
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[1]
+MAKEFILE = (ROOT / "Makefile").read_text()
+LOCK = (ROOT / "requirements.lock").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+# Bracketed, so that this file does not hold what it looks for.
+INDEX_HOST = re.compile(r"py[p]i\.org|python[h]osted\.org|ana[c]onda\.(com|org)|registry\.[n]pmjs|deb[i]an\.org/debian")
+HOME_FOLDER = re.compile(r"/(?:home|Users)/\w|C:\\[U]sers")
+
+
+def make(*arguments: str) -> str:
+    """What make prints in this repository, free of the flags of a make that may be running the tests."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "GNUMAKEFLAGS")}
+    return subprocess.run(
+        ["make", "--no-print-directory", *arguments],
+        cwd=ROOT,
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+
+
+def locked_entries() -> list[str]:
+    """The lock's entries, each a requirement with its hashes, joined to one line; comments dropped."""
+    lines = "\n".join(line for line in LOCK.splitlines() if not line.lstrip().startswith("#"))
+    return lines.replace("\\\n", " ").strip().splitlines()
+
+
+def words(label: str) -> list[str]:
+    """The words that follow ``label`` (``VARIABLE :=`` or ``target:``) on its first line of the Makefile."""
+    return next(line for line in MAKEFILE.splitlines() if line.startswith(label)).removeprefix(label).split()
+
+
+def figure_names() -> list[str]:
+    """The figures and tables that the Makefile makes."""
+    return words("FIGURES :=") + words("TABLES :=")
+
+
+def repository_files() -> list[Path]:
+    """Files that are tracked, or would be by the next `git add`; skips where there is no git checkout."""
+    listing = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    if listing.returncode:
+        pytest.skip(f"not a git checkout: {listing.stderr.strip()}")
+    return [path for path in (ROOT / name for name in listing.stdout.split("\0") if name) if path.is_file()]
+
+
+def test_the_lock_pins_every_package_by_name_version_and_hash_alone():
+    pinned = re.compile(r"[a-z0-9-]+==[^\s;]+( ; [^\\]+?)?(\s+--hash=sha256:[0-9a-f]{64})+")
+    entries = locked_entries()
+    assert len(entries) > 100  # jupyter alone brings about a hundred: fewer means that the parsing went wrong
+    assert [entry for entry in entries if not pinned.fullmatch(entry)] == []
+
+
+def test_the_lock_holds_no_address():
+    assert "://" not in LOCK
+    assert not INDEX_HOST.search(LOCK)
+
+
+def test_the_lock_satisfies_the_core_and_dev_dependencies_of_the_project():
+    locked = {}
+    for entry in locked_entries():
+        requirement = Requirement(entry.split("--hash")[0])
+        assert requirement.name not in locked, f"{requirement.name} has one version on every Python, as the bags need"
+        locked[canonicalize_name(requirement.name)] = requirement.specifier
+    for requirement in map(Requirement, [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"]]):
+        version = str(locked[canonicalize_name(requirement.name)]).removeprefix("==")
+        assert version in requirement.specifier, f"{requirement} is not served by the locked {version}"
+
+
+def test_the_conda_environment_takes_the_same_python_and_the_same_packages():
+    environment = YAML(typ="safe").load(ROOT / "environment.yml")
+    python, pip, packages = environment["dependencies"]
+    assert environment["name"] == PROJECT["name"]
+    assert Requirement(python) == Requirement(f"python{PROJECT['requires-python']}")
+    assert pip == "pip"
+    assert packages == {"pip": ["--requirement requirements.lock"]}
+
+
+def test_the_citation_names_this_package_its_version_and_the_paper():
+    import fiplib
+
+    citation = YAML(typ="safe").load(ROOT / "CITATION.cff")
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == fiplib.__version__
+    assert citation["license"] == PROJECT["license"]
+    [paper] = citation["references"]
+    assert [author["family-names"] for author in paper["authors"]] == ["Paul", "Torok", "Deghat"]
+
+
+def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
+    from fiplib.figures import FIGURES
+
+    listed = {name: set(words(f"reads_{name} :=")) for name in figure_names()}
+    assert listed == {name: set(figure.bags) for name, figure in FIGURES.items()}
+
+
+def test_make_bags_records_known_scenarios_and_every_bag_that_a_figure_reads():
+    from fiplib.simulate import SCENARIOS
+
+    recorded = set(words("SCENARIOS :="))
+    assert recorded <= set(SCENARIOS)
+    assert {bag for name in figure_names() for bag in words(f"reads_{name} :=")} <= recorded
+
+
+def test_make_help_is_the_default_and_lists_every_public_target():
+    targets = words(".PHONY:")
+    listed = [line.split()[0] for line in make("help").splitlines() if line.startswith("  ")]
+    assert sorted(listed) == sorted(targets)
+    assert make() == make("help")
+
+
+def test_make_and_the_tests_pin_the_same_numeric_environment():
+    exported = dict(re.findall(r"^export (\w+) := (.*)$", MAKEFILE, re.MULTILINE))
+    assert exported == NUMERIC_ENVIRONMENT
+    assert NUMERIC_ENVIRONMENT.items() <= os.environ.items()
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or platform.machine() != "x86_64", reason="the kernels are pinned by their x86-64 names"
+)
+def test_numpy_knows_every_kernel_that_is_switched_off():
+    # A name that this NumPy does not dispatch on is only an ImportWarning: the pin would silently do nothing.
+    code = "from numpy._core._multiarray_umath import __cpu_features__ as f; print(*(k for k, on in f.items() if on))"
+    run = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert not set(run.stdout.split()) & set(NUMERIC_ENVIRONMENT["NPY_DISABLE_CPU_FEATURES"].split())
+
+
+def test_no_file_names_this_machine_or_a_package_index():
+    here = {str(path) for path in (ROOT, ROOT.parent, Path.home())} - {"/", tempfile.gettempdir()}
+    offences = []
+    for path in repository_files():
+        text = path.read_bytes().decode(errors="replace")
+        found = [folder for folder in here if f"{folder}/" in text]
+        found += [match[0] for match in (INDEX_HOST.search(text), HOME_FOLDER.search(text)) if match]
+        offences += [f"{path.relative_to(ROOT)}: {what}" for what in found]
+    assert offences == []
+
+
+def test_the_readme_shows_both_commands_and_names_only_what_exists():
+    readme = (ROOT / "README.md").read_text()
+    assert re.search(r"^make figures\b", readme, re.MULTILINE)
+    assert re.search(r"^make test\b", readme, re.MULTILINE)
+    commands = set(re.findall(r"(?:^|`)make ([a-z][\w.-]*)", readme, re.MULTILINE))
+    assert commands <= {*words(".PHONY:"), *(f"fly-{name}" for name in words("SCENARIOS :="))}
+    # Links and paths in code style lead to files of the repository; what make writes is named by its target instead.
+    paths = re.findall(r"\]\(([^)#:]+)\)", readme) + re.findall(r"`((?:fiplib|scripts|data|tests)/[\w./-]*)", readme)
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    made = set(re.findall(r"`((?:fig|table)\d-\w+)`", readme))
+    assert made == set(figure_names())
