@@ -121,7 +121,9 @@ def exact_pendulum(gyration_ratio: float = 0.0) -> ca.Function:
     acceleration = ca.solve(ca.jacobian(momentum, offset_rate), force)
     acceleration = ca.substitute(acceleration, base_velocity, ca.SX.zeros(3))  # Galilean: no dependence is left
     state = ca.vertcat(offset, offset_rate)
-    return ca.Function("pendulum", [state, base_acceleration, length], [acceleration], ["s", "p_ddot", "l"], ["ab_ddot"])
+    return ca.Function(
+        "pendulum", [state, base_acceleration, length], [acceleration], ["s", "p_ddot", "l"], ["ab_ddot"]
+    )
 
 
 PLANT = {
@@ -190,7 +192,7 @@ def quaternion_rate(q: ca.SX, body_rate: ca.SX) -> ca.SX:
 
 
 def euler_angles(q: ArrayLike) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in rad of R = Rx(phi) Ry(theta) Rz(psi), the paper's rotation, from a quaternion (x, y, z, w)."""
+    """Roll, pitch, yaw in rad of R = Rx(phi) Ry(theta) Rz(psi), as in the paper, of a quaternion (x, y, z, w)."""
     x, y, z, w = (float(value) for value in q)
     phi = math.atan2(2 * (w * x - y * z), 1 - 2 * (x * x + y * y))
     theta = math.asin(max(-1.0, min(1.0, 2 * (x * z + w * y))))
@@ -202,7 +204,7 @@ def euler_rate_map() -> ca.Function:
     """Body rates to Euler rates for R = Rx Ry Rz, the rotation that the paper states.
 
     Returns:
-        CasADi function (angles = (phi, theta, psi), body rates (3,)) -> (phi', theta', psi'); singular at theta = 90 deg.
+        CasADi function (angles = (phi, theta, psi), body rates (3,)) -> their rates; singular at theta = 90 deg.
     """
     angles, body_rate = ca.SX.sym("angles", 3), ca.SX.sym("omega", 3)
     _, theta, psi = ca.vertsplit(angles)

@@ -139,14 +139,16 @@ class Estimation:
     elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p")
     mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit")
     median_length: int = quantity(5, "runs", "our choice: length of the median filter over successive runs")
-    fitness: str = quantity(
-        "rk4_likelihood", "-", "reading: a name in kalman.READINGS; 'paper' is the printed formula"
-    )
+    fitness: str = quantity("rk4_likelihood", "-", "reading: a name in kalman.READINGS; 'paper' is the printed formula")
     process_noise: tuple[float, ...] = quantity(
-        (1e-6, 1e-3, 1e-6, 1e-3, 1e-6, 1e-3, 1e-6, 1e-3, 1e-5, 1e-5), "unit^2", "our choice: diagonal of Q_e per step"
+        (1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-4, 1e-4),
+        "unit^2",
+        "our choice: diagonal of Q_e per 0.1 s; the one-step error of the model on true states of a simulated flight",
     )
     measurement_noise: tuple[float, ...] = quantity(
-        (1e-6, 4e-4, 1e-6, 4e-4, 1e-6, 4e-4, 1e-6, 4e-4, 1e-5, 1e-5), "unit^2", "our choice: diagonal of R_e"
+        (4e-8, 5e-4, 4e-8, 5e-4, 8e-8, 1e-3, 8e-8, 1e-3, 1e-6, 1e-6),
+        "unit^2",
+        "our choice: diagonal of R_e; variance of the states derived from simulated motion capture",
     )
 
 
@@ -183,8 +185,10 @@ class Simulation:
     rate_lag: float = quantity(15e-3, "s", "measured on Betaflight in the loop: 10 to 15 ms, first order")
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame")
+    estimation_latency: float = quantity(0.1, "s", "our choice: from the request of an estimate to its delivery")
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a tracked body")
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a tracked body")
+    initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a and b when the flight starts")
 
 
 @dataclass(frozen=True)

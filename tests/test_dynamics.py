@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fiplib import dynamics
-from fiplib.params import A, AXES, B, GRAVITY, PHI, THETA, X_DOT, Y_DOT, Params
+from fiplib.params import AXES, GRAVITY, PHI, THETA, X_DOT, Y_DOT, A, B, Params
 
 PARAMS = Params()
 ROUNDING = 1e-12  # a few dozen operations on numbers of order 1 to 100 in double precision
@@ -71,7 +71,9 @@ def test_the_prediction_model_has_the_printed_equations():
 
 @pytest.mark.parametrize("axis", AXES)
 def test_both_axes_are_the_same_five_state_system_after_the_change_of_sign(axis):
-    df_dx, df_du = (full(j) for j in dynamics.jacobians(dynamics.prediction_model(0.75))(np.zeros(10), np.zeros(2), 1.3))
+    df_dx, df_du = (
+        full(j) for j in dynamics.jacobians(dynamics.prediction_model(0.75))(np.zeros(10), np.zeros(2), 1.3)
+    )
     sign = np.array([1, 1, 1, 1, axis.sign])
     states = list(axis.states)
     a, b = dynamics.axis_matrices(1.3, 0.75)
