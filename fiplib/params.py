@@ -59,9 +59,9 @@ GRAVITY = 9.81
 """Standard acceleration of free fall, rounded, m/s^2 (the paper gives no value)."""
 
 
-def quantity(default: Any, unit: str, source: str) -> Any:
-    """A dataclass field that carries its unit and its source."""
-    return field(default=default, metadata={"unit": unit, "source": source})
+def quantity(default: Any, unit: str, source: str, zero: bool = False) -> Any:
+    """A dataclass field that carries its unit, its source, and whether a number may be zero (none may be negative)."""
+    return field(default=default, metadata={"unit": unit, "source": source, "zero": zero})
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,10 @@ class Pendulum:
     mass: float = quantity(0.032, "kg", "paper, Table 1")
     length: float = quantity(1.0, "m", "paper, Table 1")
     gyration_ratio: float = quantity(
-        1.0 / 12.0, "1", "our choice: k^2/l^2 of a uniform rod; the paper's model (0) has no inertia about the COM"
+        1.0 / 12.0,
+        "1",
+        "our choice: k^2/l^2 of a uniform rod; the paper's model (0) has no inertia about the COM",
+        zero=True,
     )
 
     @property
@@ -104,6 +107,7 @@ class Control:
         (20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
         "1/unit^2",
         "our choice: Q; heavy on a, b, so that a wrong length flies",
+        zero=True,
     )
     input_weights: tuple[float, ...] = quantity((0.5, 0.5), "s^2/rad^2", "our choice: R")
     terminal_factor: float = quantity(10.0, "1", "our choice: P = factor * Q")
@@ -136,14 +140,15 @@ class Estimation:
     resolution: float = quantity(1e-4, "m", "paper, section 2.3: resolution of the chromosome")
     population: int = quantity(60, "1", "our choice: N_c; r_p = 0.167 suggests a multiple of 6")
     generations: int = quantity(20, "1", "our choice: generations per run")
-    elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p")
-    mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit")
+    elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p", zero=True)
+    mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit", zero=True)
     median_length: int = quantity(5, "runs", "our choice: length of the median filter over successive runs")
     fitness: str = quantity("rk4_likelihood", "-", "reading: a name in kalman.READINGS; 'paper' is the printed formula")
     process_noise: tuple[float, ...] = quantity(
         (1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-4, 1e-4),
         "unit^2",
         "our choice: diagonal of Q_e per 0.1 s; the one-step error of the model on true states of a simulated flight",
+        zero=True,
     )
     measurement_noise: tuple[float, ...] = quantity(
         (4e-8, 5e-4, 4e-8, 5e-4, 8e-8, 1e-3, 8e-8, 1e-3, 1e-6, 1e-6),
@@ -168,11 +173,11 @@ class Piloting:
     )
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     altitude_gains: tuple[float, float, float] = quantity(
-        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: proportional, integral, derivative"
+        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: proportional, integral, derivative", zero=True
     )
-    altitude_integral_limit: float = quantity(2.0, "m/s^2", "our choice: bound of the integral's share")
+    altitude_integral_limit: float = quantity(2.0, "m/s^2", "our choice: bound of the integral's share", zero=True)
     yaw_gains: tuple[float, float, float] = quantity(
-        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: proportional, integral, derivative"
+        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: proportional, integral, derivative", zero=True
     )
 
 
@@ -181,14 +186,24 @@ class Simulation:
     """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
-    rate_delay: float = quantity(12.5e-3, "s", "measured on Betaflight in the loop: 12 to 16 ms from command to motion")
+    rate_delay: float = quantity(
+        12.5e-3, "s", "measured on Betaflight in the loop: 12 to 16 ms from command to motion", zero=True
+    )
     rate_lag: float = quantity(15e-3, "s", "measured on Betaflight in the loop: 10 to 15 ms, first order")
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
-    mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame")
-    estimation_latency: float = quantity(0.1, "s", "our choice: from the request of an estimate to its delivery")
-    position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a tracked body")
-    attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a tracked body")
-    initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a and b when the flight starts")
+    mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
+    estimation_latency: float = quantity(
+        0.1, "s", "our choice: from the request of an estimate to its delivery", zero=True
+    )
+    position_noise: float = quantity(
+        0.2e-3, "m", "our choice: standard deviation per axis of a tracked body", zero=True
+    )
+    attitude_noise: float = quantity(
+        1e-3, "rad", "our choice: standard deviation per axis of a tracked body", zero=True
+    )
+    initial_lean: float = quantity(
+        3e-3, "m", "our choice: standard deviation of a and b when the flight starts", zero=True
+    )
 
 
 @dataclass(frozen=True)
@@ -206,7 +221,7 @@ class Params:
         """A copy with some fields changed, each named ``group__field``: ``params.replace(pendulum__length=0.8)``.
 
         Raises:
-            ValueError: a name is not a parameter; the message lists the near ones.
+            ValueError: a name is not a parameter, or a value is not of its kind; the message says what is.
         """
         groups: dict[str, dict[str, Any]] = {}
         for name, value in changes.items():
@@ -214,7 +229,7 @@ class Params:
             if key not in getattr(getattr(self, group, None), "__dataclass_fields__", ()):
                 known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
                 raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
-            groups.setdefault(group, {})[key] = tuple(value) if isinstance(value, list) else value
+            groups.setdefault(group, {})[key] = _checked(f"{group}.{key}", value, getattr(self, group), key)
         return dataclasses.replace(
             self, **{group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
         )
@@ -244,3 +259,32 @@ class Params:
                 for key, value in fields.items()
             }
         )
+
+
+def _checked(name: str, value: Any, group: Any, key: str) -> Any:
+    """The value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
+    current = getattr(group, key)
+    metadata = group.__dataclass_fields__[key].metadata
+
+    def number(item: Any, like: Any) -> bool:
+        whole = isinstance(item, int) and not isinstance(item, bool)
+        return (whole or (isinstance(item, float) and not isinstance(like, int))) and (
+            item > 0 or (item == 0 and metadata["zero"])
+        )
+
+    least = f"{'>=' if metadata['zero'] else '>'} 0 ({metadata['unit']})"
+    if isinstance(current, bool | str):
+        kind = "true or false" if isinstance(current, bool) else "a word"
+        good = isinstance(value, type(current))
+    elif isinstance(current, tuple):
+        kind = f"{len(current)} numbers {least}"
+        good = isinstance(value, list | tuple) and len(value) == len(current)
+        good = good and all(number(item, 1.0) for item in value)
+        value = tuple(map(float, value)) if good else value
+    else:
+        kind = f"a {'whole ' if isinstance(current, int) else ''}number {least}"
+        good = number(value, current)
+        value = type(current)(value) if good else value
+    if not good:
+        raise ValueError(f"{name} must be {kind}, not {value!r}")
+    return value
