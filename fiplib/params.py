@@ -238,6 +238,8 @@ class Params:
         """Plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``)."""
 
         def plain(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return [plain(item) for item in value]
             return "inf" if value == math.inf else value
 
         return {
@@ -254,11 +256,17 @@ class Params:
         """
         return cls().replace(
             **{
-                f"{group}__{key}": math.inf if value == "inf" else value
+                f"{group}__{key}": _parsed(value)
                 for group, fields in values.items()
                 for key, value in fields.items()
             }
         )
+
+
+def _parsed(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_parsed, value))
+    return math.inf if value == "inf" else value
 
 
 def _checked(name: str, value: Any, group: Any, key: str) -> Any:

@@ -1,0 +1,278 @@
+"""The controller without clock, I/O or threads: ``Pilot.step(now, measurement) -> command``.
+
+One pilot serves the simulator, a real vehicle and the replay of a bag. It turns poses into the ten states, solves the
+MPC at the control rate, holds altitude and heading, gathers the estimator's window and takes new lengths over. Who
+drives it calls ``step`` for every pair of poses; asks ``window_due`` whether an estimate is wanted; runs the estimator
+wherever it likes; and gives the answer to ``receive_estimate``. Times are integer nanoseconds, as in ROS messages, so
+that a replay sees exactly what the flight saw.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib.dynamics import euler_angles
+from fiplib.ga import MedianFilter
+from fiplib.kalman import Window
+from fiplib.mpc import MPC, Status
+from fiplib.params import A_DOT, B_DOT, GRAVITY, PHI, THETA, X_DOT, Y_DOT, A, B, Params, Piloting, X, Y
+
+NANO = 1_000_000_000
+
+
+class Measurement(NamedTuple):
+    """One frame of motion capture: both bodies at one exposure.
+
+    ``stamp`` is the time of exposure in ns; positions (3,) in m, world frame, the pendulum's at its COM; attitudes (4,)
+    are quaternions (x, y, z, w), the pendulum's z axis along the rod.
+    """
+
+    stamp: int
+    vehicle_position: NDArray
+    vehicle_attitude: NDArray
+    pendulum_position: NDArray
+    pendulum_attitude: NDArray
+
+
+class Command(NamedTuple):
+    """What is sent to the vehicle, and what it was based on.
+
+    ``body_rate`` (3,) rad/s, ``thrust`` normalised to [0, 1], ``state`` and ``reference`` (10,), ``length`` used in m.
+    """
+
+    stamp: int
+    body_rate: NDArray
+    thrust: float
+    state: NDArray
+    reference: NDArray
+    length: float
+    status: Status
+
+
+class Reference(Protocol):
+    """A trajectory: ``height`` in m and ``at(times)`` in s since the first step -> states (n, 10)."""
+
+    height: float
+
+    def at(self, times: NDArray) -> NDArray: ...
+
+
+@dataclass(frozen=True)
+class Hover:
+    """Stay at one place (x, y) in m."""
+
+    x: float = 0.0
+    y: float = 0.0
+    height: float = 1.3
+
+    def at(self, times: NDArray) -> NDArray:
+        states = np.zeros((len(times), 10))
+        states[:, X], states[:, Y] = self.x, self.y
+        return states
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle about the origin that starts at rest in (radius, 0) at time ``start`` and comes smoothly to speed.
+
+    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s.
+    """
+
+    radius: float
+    period: float
+    height: float = 1.3
+    start: float = 1.0
+    ramp: float = 4.0
+
+    def at(self, times: NDArray) -> NDArray:
+        since = np.maximum(times - self.start, 0.0)
+        u = np.minimum(since / self.ramp, 1.0)
+        speed = 2 * math.pi / self.period
+        # the angular speed rises as 3 u^2 - 2 u^3; its integral over the whole ramp is half the ramp
+        angle = speed * (self.ramp * (u**3 - u**4 / 2) + np.maximum(since - self.ramp, 0.0))
+        rate = speed * (3 * u**2 - 2 * u**3)
+        cos, sin = self.radius * np.cos(angle), self.radius * np.sin(angle)
+        states = np.zeros((len(times), 10))
+        states[:, X], states[:, X_DOT], states[:, Y], states[:, Y_DOT] = cos, -rate * sin, sin, rate * cos
+        return states
+
+
+REFERENCES = {"Hover": Hover, "Circle": Circle}
+"""The kinds of reference that a bag may name."""
+
+
+class Observer:
+    """Poses to states the paper's way (section 3): velocities differentiated, then low-pass filtered (first order).
+
+    With ``pendulum_measurement = "direction"`` the offset (a, b) is the rod's direction times half the length in use.
+    """
+
+    def __init__(self, piloting: Piloting) -> None:
+        if piloting.pendulum_measurement not in ("position", "direction"):
+            raise ValueError(
+                f"pendulum_measurement must be 'position' or 'direction', not {piloting.pendulum_measurement!r}"
+            )
+        self._piloting = piloting
+        self._stamp: int | None = None
+        self._positions = np.zeros(5)
+        self._velocities = np.zeros(5)
+
+    def update(self, measurement: Measurement, length: float) -> tuple[NDArray, tuple[float, float, float]]:
+        """Take one frame.
+
+        Args:
+            measurement: the frame; one whose stamp is not later than the last one's changes no velocity.
+            length: length in use, m (needed for the reading "direction" only).
+
+        Returns:
+            The ten states, and (height in m, climb rate in m/s, yaw in rad). Velocities are zero at the first frame.
+        """
+        phi, theta, psi = euler_angles(measurement.vehicle_attitude)
+        x, y, z = (float(value) for value in measurement.vehicle_position)
+        if self._piloting.pendulum_measurement == "position":
+            a, b = float(measurement.pendulum_position[0]) - x, float(measurement.pendulum_position[1]) - y
+        else:
+            qx, qy, qz, qw = (float(value) for value in measurement.pendulum_attitude)
+            a, b = length * (qx * qz + qw * qy), length * (qy * qz - qw * qx)
+        positions = np.array((x, y, a, b, z))
+        if self._stamp is not None and measurement.stamp > self._stamp:
+            elapsed = (measurement.stamp - self._stamp) / NANO
+            share = 1.0 - math.exp(-2.0 * math.pi * self._piloting.velocity_cutoff * elapsed)
+            self._velocities = self._velocities + share * ((positions - self._positions) / elapsed - self._velocities)
+        self._stamp, self._positions = measurement.stamp, positions
+        state = np.empty(10)
+        state[[X, Y, A, B]] = positions[:4]
+        state[[X_DOT, Y_DOT, A_DOT, B_DOT]] = self._velocities[:4]
+        state[PHI], state[THETA] = phi, theta
+        return state, (z, float(self._velocities[4]), psi)
+
+
+class PID:
+    """A PID loop on a given error and its given derivative, with a bounded integral share."""
+
+    def __init__(self, gains: tuple[float, float, float], integral_limit: float = math.inf) -> None:
+        self._gains, self._limit, self._integral = gains, integral_limit, 0.0
+
+    def update(self, error: float, error_rate: float, elapsed: float) -> float:
+        proportional, integral, derivative = self._gains
+        self._integral = max(-self._limit, min(self._limit, self._integral + integral * error * elapsed))
+        return proportional * error + self._integral + derivative * error_rate
+
+
+class Pilot:
+    """From poses to body rates and thrust.
+
+    Args:
+        params: all parameters of the flight.
+        reference: the trajectory to follow; its time starts with the first step.
+    """
+
+    def __init__(self, params: Params, reference: Reference) -> None:
+        self.params, self.reference = params, reference
+        self.length = params.piloting.initial_length
+        self._mpc = MPC(params)
+        self._observer = Observer(params.piloting)
+        self._altitude = PID(params.piloting.altitude_gains, params.piloting.altitude_integral_limit)
+        self._yaw = PID(params.piloting.yaw_gains)
+        self._median = MedianFilter(params.estimation.median_length)
+        self._horizon = np.arange(params.control.nodes + 1) * params.control.step
+        self._tick_ns = round(NANO / params.piloting.control_rate)
+        self._slack_ns = round(NANO / params.piloting.mocap_rate / 2)
+        self._first: int | None = None
+        self._last: int | None = None
+        self._sampler = WindowSampler(params)
+
+    def step(self, now: int, measurement: Measurement) -> Command | None:
+        """Take one frame; at a control tick, say what to do.
+
+        Args:
+            now: time at which the frame arrived, ns.
+            measurement: the frame.
+
+        Returns:
+            The command at a control tick (``control_rate``), ``None`` at the frames between.
+        """
+        state, (height, climb_rate, yaw) = self._observer.update(measurement, self.length)
+        if self._first is None:
+            self._first = now
+        # half a frame early counts: arrival times jitter about the tick
+        if self._last is not None and now - self._last < self._tick_ns - self._slack_ns:
+            return None
+        elapsed = 0.0 if self._last is None else (now - self._last) / NANO
+        self._last = now
+
+        reference = self.reference.at((now - self._first) / NANO + self._horizon)
+        solution = self._mpc.solve(state, reference, self.length)
+        climb = self._altitude.update(self.reference.height - height, -climb_rate, elapsed)
+        mass = self.params.vehicle.mass + self.params.pendulum.mass
+        lift = mass * (GRAVITY + climb) / (math.cos(state[PHI]) * math.cos(state[THETA]))
+        # AttitudeTarget carries thrust in single precision: fly what is recorded
+        thrust = float(np.float32(max(0.0, min(1.0, lift / self.params.vehicle.max_thrust))))
+        limit = self.params.vehicle.max_body_rate
+        yaw_rate = max(-limit, min(limit, self._yaw.update(-yaw, 0.0, elapsed)))
+        self._sampler.push(state, solution.input)
+        body_rate = np.array((solution.input[0], solution.input[1], yaw_rate))
+        return Command(now, body_rate, thrust, state, reference[0], self.length, solution.status)
+
+    def window_due(self) -> Window | None:
+        """The estimator's window when a run is due by its schedule (``run_period``), else ``None``."""
+        return self._sampler.due(self._last) if self.params.piloting.estimate else None
+
+    def receive_estimate(self, length: float) -> float:
+        """Take a new estimate over: median of the last runs, kept within [l_min, l_max], in limited steps.
+
+        Args:
+            length: raw estimate in m; a non-finite one is ignored.
+
+        Returns:
+            The length used from the next tick on, m.
+        """
+        if math.isfinite(length):
+            estimation, step = self.params.estimation, self.params.piloting.length_step
+            target = max(estimation.length_min, min(estimation.length_max, self._median.push(length)))
+            self.length = float(max(self.length - step, min(self.length + step, target)))
+            self._mpc.prepare(self.length)  # here, and not within the next tick
+        return self.length
+
+
+class WindowSampler:
+    """Gathers (state, input) at ``sample_period`` out of the control ticks, and keeps the schedule of the estimator.
+
+    The input of a sample is the mean over the ticks up to the next one: held over the period it moves the tilt by the
+    same amount as the inputs that were really applied.
+    """
+
+    def __init__(self, params: Params) -> None:
+        self._estimation = params.estimation
+        self._ticks = max(1, round(params.estimation.sample_period * params.piloting.control_rate))
+        self._step = self._ticks / params.piloting.control_rate
+        self._states: deque[NDArray] = deque(maxlen=params.estimation.window)
+        self._inputs: deque[NDArray] = deque(maxlen=params.estimation.window)
+        self._pending: list[NDArray] = []
+        self._fresh = False
+        self._last_run: int | None = None
+
+    def push(self, state: NDArray, applied: NDArray) -> None:
+        """Take the state (10,) and the applied body rates (2,) rad/s of one control tick."""
+        self._fresh = len(self._pending) in (0, self._ticks)
+        if self._fresh:
+            if self._pending:
+                self._inputs.append(np.mean(self._pending, axis=0))
+            self._pending = []
+            self._states.append(state)
+        self._pending.append(applied)
+
+    def due(self, now: int | None) -> Window | None:
+        """The window, when it is full, a sample has just been taken, and ``run_period`` has passed since the last."""
+        if now is None or not self._fresh or len(self._states) < self._estimation.window:
+            return None
+        # half a tick of slack, so that a period that is a multiple of the sampling is not missed by rounding
+        if self._last_run is not None and (now - self._last_run) / NANO < self._estimation.run_period - self._step / 24:
+            return None
+        self._last_run = now
+        inputs = np.array([*list(self._inputs)[-(self._estimation.window - 1) :], self._pending[-1]])
+        return Window(np.array(self._states), inputs, self._step)

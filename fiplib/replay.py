@@ -1,0 +1,158 @@
+"""A recorded flight through the pilot again: its states, its commands, its estimator's windows.
+
+The bag holds all that the pilot was given (poses, their times, the estimates it received), so the commands come out bit
+for bit as they were flown. With other parameters the same functions say what the pilot *would* have commanded, and
+which windows another estimator would have been given.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fiplib.bags import BagError, Event, Flight, Poses, Series
+from fiplib.kalman import Window
+from fiplib.params import STATE_NAMES, STATES, Params
+from fiplib.pilot import REFERENCES, Measurement, Observer, Pilot, Reference, WindowSampler
+from fiplib.recorder import ROLES
+from fiplib.simulate import Scenario, Tape
+
+
+class TimedWindow(NamedTuple):
+    """A window of the estimator and the time in ns at which it was complete."""
+
+    stamp: int
+    window: Window
+
+
+def flight_of(tape: Tape, scenario: Scenario) -> Flight:
+    """A simulated flight kept in memory, as ``bags.read`` gives it from its bag: what sweeps work on."""
+
+    def poses(body: str) -> Poses:
+        values = np.array(tape.values[body])
+        stamps = (np.array(tape.stamps[name], dtype=np.int64) for name in (body, f"{body} received"))
+        return Poses(*stamps, values[:, :3], values[:, 3:])
+
+    def series(role: str) -> Series | None:
+        if role not in tape.values:
+            return None
+        stamp, values = np.array(tape.stamps[role], dtype=np.int64), np.array(tape.values[role])
+        return Series(stamp, values, ROLES[role].names, ROLES[role].units)
+
+    vehicle = poses("vehicle")
+    others = ("state", "command", "reference", "length", "truth_state", "truth_length")
+    return Flight(
+        path=Path(scenario.name),
+        metadata=scenario.metadata(),
+        vehicle=vehicle,
+        pendulum=poses("pendulum"),
+        events=tuple(Event(*event) for event in tape.events),
+        start_ns=int(vehicle.stamp[0]),
+        topics=(),
+        **{role: series(role) for role in others},
+    )
+
+
+def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
+    """The frames as the pilot got them: (time of arrival in ns, both bodies).
+
+    Every pose of the vehicle is joined with the latest pose of the pendulum that had arrived by then.
+    """
+    vehicle, pendulum = flight.vehicle, flight.pendulum
+    latest = np.searchsorted(pendulum.received, vehicle.received, side="right") - 1
+    for index in np.nonzero(latest >= 0)[0]:
+        other = latest[index]
+        yield (
+            int(vehicle.received[index]),
+            Measurement(
+                int(vehicle.stamp[index]),
+                vehicle.position[index],
+                vehicle.orientation[index],
+                pendulum.position[other],
+                pendulum.orientation[other],
+            ),
+        )
+
+
+def states(flight: Flight) -> Series:
+    """The states that the controller used; where none are recorded, derived from the poses the paper's way."""
+    if flight.state is not None:
+        return flight.state
+    observer, length = Observer(flight.params.piloting), flight.params.piloting.initial_length
+    derived = [(now, observer.update(measurement, length)[0]) for now, measurement in measurements(flight)]
+    return Series(
+        np.array([now for now, _ in derived]),
+        np.array([state for _, state in derived]).reshape(-1, len(STATES)),
+        STATE_NAMES,
+        tuple(signal.unit for signal in STATES),
+    )
+
+
+def reference(flight: Flight) -> Reference:
+    """The reference that the flight followed.
+
+    Raises:
+        BagError: the bag does not name one that is known here.
+    """
+    entry = dict(flight.metadata.get("reference", {}))
+    kind = entry.pop("kind", None)
+    if kind not in REFERENCES:
+        raise BagError(f"{flight.path}: its metadata name no reference of the kinds {', '.join(REFERENCES)}")
+    return REFERENCES[kind](**entry)
+
+
+def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
+    """What the pilot commands when it is given the poses and the estimates of the bag.
+
+    Args:
+        flight: the recorded flight.
+        params: other parameters than those it was flown with.
+        follow: another reference than the one it followed.
+
+    Returns:
+        Body rates in rad/s and normalised thrust, (n, 4), as in ``flight.command``.
+
+    Raises:
+        BagError: the bag does not say which reference was followed, and none is given.
+    """
+    pilot = Pilot(params or flight.params, follow or reference(flight))
+    estimates = [] if flight.length is None else list(zip(flight.length.stamp, flight.length.values[:, 1], strict=True))
+    estimates.reverse()
+    given = []
+    for now, measurement in measurements(flight):
+        command = pilot.step(now, measurement)
+        if command is not None:
+            given.append((command.stamp, *command.body_rate, command.thrust))
+        while estimates and estimates[-1][0] <= now:
+            pilot.receive_estimate(float(estimates.pop()[1]))
+    return Series(
+        np.array([row[0] for row in given], dtype=np.int64),
+        np.array([row[1:] for row in given]).reshape(-1, 4),
+        ("omega_x", "omega_y", "omega_z", "thrust"),
+        ("rad/s", "rad/s", "rad/s", "1"),
+    )
+
+
+def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
+    """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
+
+    Args:
+        flight: the recorded flight.
+        params: other parameters (window, sampling, schedule) than those it was flown with.
+
+    Raises:
+        BagError: the bag cannot be refitted; the message says why.
+    """
+    if reason := flight.why_not_refit():
+        raise BagError(f"{flight.path}: {reason}")
+    assert flight.command is not None  # else there was a reason
+    known = states(flight)
+    latest = np.searchsorted(known.stamp, flight.command.stamp, side="right") - 1
+    sampler, found = WindowSampler(params or flight.params), []
+    for index in np.nonzero(latest >= 0)[0]:
+        sampler.push(known.values[latest[index]], flight.command.values[index, :2])
+        now = int(flight.command.stamp[index])
+        if window := sampler.due(now):
+            found.append(TimedWindow(now, window))
+    return found

@@ -1,0 +1,379 @@
+"""The simulated vehicle, its sensors and its flights. Everything recorded here is called simulated.
+
+The plant runs in steps of 1/960 s, four to a frame of motion capture. A frame is exposed, delayed, rounded to the
+single precision in which NatNet streams it, and given to the same ``Pilot`` that flies a vehicle; its commands act
+after the delay and lag of the inner loop.
+"""
+
+import dataclasses
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiplib import __version__, ga
+from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.kalman import Window
+from fiplib.mpc import Status
+from fiplib.params import GRAVITY, STATE_NAMES, Params
+from fiplib.pilot import NANO, Circle, Command, Hover, Measurement, Pilot, Reference
+
+EPOCH = 1_767_225_600 * NANO
+"""Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
+
+FALLEN = math.cos(math.radians(60.0))
+"""A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
+
+TRUTH_NAMES = (*STATE_NAMES, "z")
+
+
+class Push(NamedTuple):
+    """A constant force on the rod's COM: start and duration in s, impulse (x, y) in N s."""
+
+    start: float
+    impulse: tuple[float, float]
+    duration: float = 0.05
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One simulated flight, fully determined.
+
+    ``told_lengths`` are (time s, length m): from that time on the pilot is told this length instead of an estimate.
+    """
+
+    name: str
+    description: str
+    duration: float
+    reference: Reference
+    pushes: tuple[Push, ...] = ()
+    told_lengths: tuple[tuple[float, float], ...] = ()
+    params: Params = field(default_factory=Params)
+    seed: int = 1
+
+    def metadata(self) -> dict[str, Any]:
+        """What a bag of this flight carries about its origin."""
+        return {
+            "origin": "simulated",
+            "version": __version__,
+            "scenario": self.name,
+            "description": self.description,
+            "seed": self.seed,
+            "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
+            "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
+            "told_lengths": [list(told) for told in self.told_lengths],
+            "params": self.params.to_dict(),
+        }
+
+
+class Recorder(Protocol):
+    """What a flight is written to; times in ns. ``bags.Recorder`` writes a ROS 2 bag, ``Tape`` keeps arrays."""
+
+    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
+    def state(self, stamp: int, values: ArrayLike) -> None: ...
+    def reference(self, stamp: int, values: ArrayLike) -> None: ...
+    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
+    def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
+    def event(self, stamp: int, level: str, text: str) -> None: ...
+    def truth(self, stamp: int, values: ArrayLike) -> None: ...
+    def truth_length(self, stamp: int, length: float) -> None: ...
+
+
+class Tape:
+    """A recorder in memory: ``tape["state"]`` is an array of (time in s since the start, values...).
+
+    ``stamps`` and ``values`` hold the same by topic, times in ns; ``replay.flight_of`` makes a ``Flight`` of them.
+    """
+
+    def __init__(self) -> None:
+        self.stamps: dict[str, list[int]] = {}
+        self.values: dict[str, list[tuple[float, ...]]] = {}
+        self.events: list[tuple[int, str, str]] = []
+
+    def _add(self, topic: str, stamp: int, *values: float) -> None:
+        self.stamps.setdefault(topic, []).append(stamp)
+        self.values.setdefault(topic, []).append(values)
+
+    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
+        self._add(body, stamp, *position, *orientation)
+        self.stamps.setdefault(f"{body} received", []).append(received)
+
+    def state(self, stamp: int, values: ArrayLike) -> None:
+        self._add("state", stamp, *values)
+
+    def reference(self, stamp: int, values: ArrayLike) -> None:
+        self._add("reference", stamp, *values)
+
+    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
+        self._add("command", stamp, *rates, thrust)
+
+    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
+        self._add("length", stamp, used, raw, std)
+
+    def event(self, stamp: int, level: str, text: str) -> None:
+        self.events.append((stamp, level, text))
+
+    def truth(self, stamp: int, values: ArrayLike) -> None:
+        self._add("truth_state", stamp, *values)
+
+    def truth_length(self, stamp: int, length: float) -> None:
+        self._add("truth_length", stamp, length)
+
+    def __getitem__(self, topic: str) -> NDArray:
+        seconds = (np.array(self.stamps.get(topic, []), dtype=np.int64) - EPOCH) / NANO
+        return np.column_stack([seconds, np.array(self.values.get(topic, []))]) if len(seconds) else np.zeros((0, 0))
+
+
+class Plant:
+    """The coupled plant with the inner loop's delay, advanced frame by frame.
+
+    Args:
+        params: vehicle, pendulum, simulation.
+        position: (3,) m, where the vehicle hovers at the start.
+        lean: (a, b) in m at the start.
+    """
+
+    def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
+        simulation = params.simulation
+        self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
+        self._radius = params.pendulum.length / 2
+        self.x = np.zeros(20)
+        self.x[PLANT["position"]] = position
+        self.x[9] = 1.0
+        direction = np.array([*lean, 0.0]) / self._radius
+        direction[2] = math.sqrt(1.0 - direction @ direction)
+        self.x[PLANT["direction"]] = direction
+        weight = (params.vehicle.mass + params.pendulum.mass) * GRAVITY
+        self.x[PLANT["thrust"]] = weight
+        self._commands: deque[tuple[int, NDArray]] = deque()
+        self._held = np.array([0.0, 0.0, 0.0, weight])
+        self._substep = 0
+        latency = simulation.mocap_latency + simulation.rate_delay
+        self._delay = round(latency * simulation.plant_rate)
+        # CasADi reads and writes these arrays in place: no conversion on the way
+        self._schedule, self._force, self._next = np.zeros((self.substeps, 4)), np.zeros(3), np.zeros(20)
+        self._buffer, self._advance = _frame(params, self.substeps).buffer()
+        for index, array in enumerate((self.x, self._schedule.reshape(-1), self._force)):
+            self._buffer.set_arg(index, memoryview(array))
+        self._buffer.set_res(0, memoryview(self._next))
+
+    def command(self, body_rate: ArrayLike, thrust: float) -> None:
+        """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay."""
+        self._commands.append((self._substep + self._delay, np.array([*body_rate, thrust])))
+
+    def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
+        for row in range(self.substeps):
+            while self._commands and self._commands[0][0] <= self._substep + row:
+                self._held = self._commands.popleft()[1]
+            self._schedule[row] = self._held
+        self._force[:] = force
+        self._advance()
+        self.x[:] = self._next
+        self._substep += self.substeps
+
+    def truth(self) -> NDArray:
+        """The ten true states and the height z, in the order of ``TRUTH_NAMES``."""
+        x, r = self.x, self._radius
+        phi, theta, _ = euler_angles(x[6:10])
+        a, b, a_dot, b_dot = r * x[10], r * x[11], r * x[13], r * x[14]
+        return np.array((x[0], x[3], x[1], x[4], a, a_dot, b, b_dot, phi, theta, x[2]))
+
+    @property
+    def fallen(self) -> bool:
+        """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
+        x = self.x
+        return bool(x[12] < FALLEN or 1 - 2 * (x[6] ** 2 + x[7] ** 2) < FALLEN or x[2] < 0.1)
+
+
+def _frame(params: Params, substeps: int) -> ca.Function:
+    """The plant over one frame: RK4 substeps, each followed by the projection onto unit quaternion and direction."""
+    x, commands, force = ca.MX.sym("x", 20), ca.MX.sym("commands", 4, substeps), ca.MX.sym("force", 3)
+    state = ca.SX.sym("x", 20)
+    attitude, direction, rate = (state[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
+    q = direction / ca.norm_2(direction)
+    unit = ca.vertcat(state[:6], attitude / ca.norm_2(attitude), q, rate - q * ca.dot(q, rate), state[16:])
+    project = ca.Function("project", [state], [unit])
+    step = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)
+    after = x
+    for column in range(substeps):
+        after = project(step(after, commands[:, column], force))
+    return ca.Function("frame", [x, commands, force], [after]).expand()
+
+
+class Mocap:
+    """Motion capture of both bodies: seeded noise, then rounding to the single precision that NatNet streams."""
+
+    def __init__(self, params: Params, frames: int, rng: np.random.Generator) -> None:
+        scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
+        self._noise = rng.normal(size=(frames, 12)) * scale
+        self._radius = params.pendulum.length / 2
+
+    def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
+        """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
+        noise = self._noise[index]
+        q = x[PLANT["direction"]]
+        # shortest rotation that takes the z axis to the rod's direction
+        upright = np.array((-q[1], q[0], 0.0, 1.0 + q[2])) / math.sqrt(2.0 * (1.0 + q[2]))
+        return Measurement(
+            stamp,
+            _single(x[:3] + noise[:3]),
+            _single(_turned(x[PLANT["attitude"]], noise[6:9])),
+            _single(x[:3] + self._radius * q + noise[3:6]),
+            _single(_turned(upright, noise[9:12])),
+        )
+
+
+def _single(values: NDArray) -> NDArray:
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _turned(q: NDArray, angle: NDArray) -> NDArray:
+    """The quaternion q turned by a small rotation vector (3,) in the body frame."""
+    x, y, z, w = q
+    i, j, k = angle / 2.0
+    turned = np.array((x + w * i + y * k - z * j, y + w * j + z * i - x * k, z + w * k + x * j - y * i, 0.0))
+    turned[3] = w - x * i - y * j - z * k
+    return turned / math.sqrt(float(turned @ turned))
+
+
+class Outcome(NamedTuple):
+    """How a simulated flight ended: seconds flown, and whether rod and vehicle were still up."""
+
+    duration: float
+    survived: bool
+
+
+def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None] | None = None) -> Outcome:
+    """Fly a scenario in the simulator, through the pilot, into a recorder.
+
+    Args:
+        scenario: the flight.
+        recorder: where it is written to.
+        progress: called with the simulated seconds done, about once per simulated second.
+
+    Returns:
+        How it ended; a fall ends the flight early and is recorded as an event.
+    """
+    params, seed = scenario.params, scenario.seed
+    rate = params.piloting.mocap_rate
+    frames = round(scenario.duration * rate)
+    rng = np.random.default_rng(seed)
+    start = scenario.reference.at(np.zeros(1))[0]
+    lean = rng.normal(size=2) * params.simulation.initial_lean
+    plant = Plant(params, (start[0], start[2], scenario.reference.height), lean)
+    mocap, pilot = Mocap(params, frames, rng), Pilot(params, scenario.reference)
+    estimator = _Estimator(params, seed)
+    latency = round(params.simulation.mocap_latency * NANO)
+    told = deque(scenario.told_lengths)
+    pushes = deque(scenario.pushes)
+    status = Status.OPTIMAL
+
+    recorder.truth_length(EPOCH, params.pendulum.length)
+    recorder.length(EPOCH, pilot.length, math.nan, math.nan)
+    for index in range(frames):
+        seconds = index / rate
+        stamp = EPOCH + round(index * NANO / rate)
+        now = stamp + latency
+        measurement = mocap.frame(index, stamp, plant.x)
+        recorder.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
+        recorder.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
+        recorder.truth(stamp, plant.truth())
+        command = pilot.step(now, measurement)
+        if command is not None:
+            plant.command(command.body_rate, command.thrust * params.vehicle.max_thrust)
+            _record_command(recorder, command, status)
+            status = command.status
+        if estimate := estimator.deliver(now, pilot.window_due()):
+            recorder.length(now, pilot.receive_estimate(estimate.length), estimate.length, estimate.standard_deviation)
+        if told and seconds >= told[0][0]:
+            length = told.popleft()[1]
+            recorder.event(now, "warn", f"pilot is told the length {length:g} m")
+            recorder.length(now, pilot.receive_estimate(length), length, math.nan)
+        force = np.zeros(3)
+        if pushes and seconds >= pushes[0].start:
+            push = pushes[0]
+            if seconds < push.start + 1 / rate:
+                recorder.event(now, "info", f"push of {1e3 * math.hypot(*push.impulse):g} mN s on the rod's COM")
+            force[:2] = np.array(push.impulse) / push.duration
+            if seconds >= push.start + push.duration - 1 / rate:
+                pushes.popleft()
+        plant.advance(force)
+        if plant.fallen:
+            recorder.event(now, "error", "rod or vehicle fell: flight ended")
+            return Outcome(seconds, False)
+        if progress and index % round(rate) == 0:
+            progress(seconds)
+    return Outcome(scenario.duration, True)
+
+
+def _record_command(recorder: Recorder, command: Command, before: Status) -> None:
+    recorder.state(command.stamp, command.state)
+    recorder.reference(command.stamp, command.reference)
+    recorder.command(command.stamp, command.body_rate, command.thrust)
+    if command.status is not before:
+        recorder.event(command.stamp, "info", f"MPC status {command.status.value}")
+
+
+class _Estimator:
+    """The GA beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
+
+    def __init__(self, params: Params, seed: int) -> None:
+        self._params, self._seed, self._runs = params, seed, 0
+        self._ready: tuple[int, ga.Estimate] | None = None
+
+    def deliver(self, now: int, window: Window | None) -> ga.Estimate | None:
+        answer = None
+        if self._ready and now >= self._ready[0]:
+            answer, self._ready = self._ready[1], None
+        if window is not None and self._ready is None:
+            # a generator of its own for each run: a run can be repeated from the bag alone
+            rng = np.random.default_rng([self._seed, self._runs])
+            self._runs += 1
+            due = now + round(self._params.simulation.estimation_latency * NANO)
+            self._ready = (due, ga.estimate(window, self._params, rng))
+        return answer
+
+
+def _scenarios() -> dict[str, Scenario]:
+    params = Params()
+    quick = Circle(radius=0.4, period=8.0)
+    flights = [
+        Scenario(
+            "push-hover",
+            "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
+            26.0,
+            Hover(),
+            pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
+        ),
+        Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
+        *(
+            Scenario(
+                f"estimate-{length:.1f}",
+                f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
+                25.0,
+                quick,
+                params=params.replace(piloting__initial_length=length, piloting__estimate=True),
+                seed=seed,
+            )
+            for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
+        ),
+        Scenario(
+            "length-jump",
+            "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
+            26.0,
+            quick,
+            told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
+            params=params.replace(estimation__median_length=1),
+        ),
+    ]
+    return {scenario.name: scenario for scenario in flights}
+
+
+SCENARIOS = _scenarios()
+"""The flights recorded in ``data/``, by name."""

@@ -1,0 +1,165 @@
+"""The pilot on its own: references, states from poses, ticks, the estimator's schedule, the hand-over of the length."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fiplib.params import A_DOT, GRAVITY, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
+from fiplib.pilot import NANO, Circle, Hover, Measurement, Observer, Pilot
+
+PARAMS = Params()
+FRAME = NANO // 240
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def frame(stamp: int, position=(0.0, 0.0, 1.3), attitude=UPRIGHT, offset=(0.0, 0.0)) -> Measurement:
+    position = np.array(position)
+    return Measurement(stamp, position, np.asarray(attitude), position + np.array([*offset, 0.49]), UPRIGHT)
+
+
+@pytest.mark.parametrize("reference", [Hover(0.2, -0.1), Circle(0.8, 9.0), Circle(0.4, 8.0, start=2.0, ramp=3.0)])
+def test_the_velocity_of_a_reference_is_the_derivative_of_its_position(reference):
+    times, step = np.linspace(0.01, 20, 500), 1e-5
+    states = reference.at(times)
+    slope = (reference.at(times + step) - reference.at(times - step)) / (2 * step)
+    # central difference of a smooth path: error of order step^2 plus rounding of 1e-16 / step
+    np.testing.assert_allclose(states[:, [X_DOT, Y_DOT]], slope[:, [X, Y]], atol=1e-9)
+    np.testing.assert_array_equal(np.delete(states, [X, X_DOT, Y, Y_DOT], axis=1), 0)
+
+
+def test_a_circle_starts_at_rest_and_comes_to_its_period():
+    circle = Circle(0.8, 9.0, start=1.0, ramp=4.0)
+    np.testing.assert_array_equal(circle.at(np.array([0.0, 0.9]))[:, [X, X_DOT, Y, Y_DOT]], [[0.8, 0, 0, 0]] * 2)
+    late = circle.at(np.array([7.0, 16.0]))
+    np.testing.assert_allclose(late[0], late[1], atol=1e-14)
+    assert math.hypot(late[0, X], late[0, Y]) == pytest.approx(0.8)
+
+
+def test_differentiated_velocities_settle_on_those_of_a_ramp():
+    observer = Observer(PARAMS.piloting)
+    for index in range(240):
+        seconds = index / 240
+        measurement = frame(index * FRAME, (0.3 * seconds, -0.2 * seconds, 1.3), offset=(0.05 * seconds, 0))
+        state, (height, climb_rate, yaw) = observer.update(measurement, 1.0)
+    expected = [0.3, -0.2, 0.05]
+    # a whole second is 125 time constants of the 20 Hz filter: nothing is left of the start; FRAME is rounded to 1 ns
+    np.testing.assert_allclose(state[[X_DOT, Y_DOT, A_DOT]], expected, rtol=1e-6)
+    assert (height, yaw) == (1.3, 0) and climb_rate == pytest.approx(0, abs=1e-12)
+
+
+def test_a_frame_with_an_old_stamp_changes_no_velocity():
+    observer = Observer(PARAMS.piloting)
+    observer.update(frame(0), 1.0)
+    before, _ = observer.update(frame(FRAME, (0.001, 0, 1.3)), 1.0)
+    after, _ = observer.update(frame(FRAME, (0.002, 0, 1.3)), 1.0)
+    assert after[X] == 0.002 and after[X_DOT] == before[X_DOT] != 0
+
+
+def test_the_two_readings_of_the_pendulum_measurement_differ_by_the_length_in_use():
+    lean = Rotation.from_rotvec([0.0, 0.1, 0.0]).as_quat()
+    measurement = Measurement(0, np.zeros(3), UPRIGHT, 0.5 * np.array([math.sin(0.1), 0, math.cos(0.1)]), lean)
+    by_position, _ = Observer(PARAMS.piloting).update(measurement, 1.2)
+    direction = PARAMS.replace(piloting__pendulum_measurement="direction").piloting
+    by_direction, _ = Observer(direction).update(measurement, 1.2)
+    assert by_position[A] == pytest.approx(0.5 * math.sin(0.1), abs=1e-15)
+    assert by_direction[A] == pytest.approx(0.6 * math.sin(0.1), abs=1e-15)
+    assert by_direction[B] == pytest.approx(0, abs=1e-15)
+    with pytest.raises(ValueError, match="pendulum_measurement must be 'position' or 'direction', not 'guess'"):
+        Observer(PARAMS.replace(piloting__pendulum_measurement="guess").piloting)
+
+
+def test_commands_come_at_the_control_rate_even_when_arrivals_jitter():
+    pilot, rng = Pilot(PARAMS, Hover()), np.random.default_rng(1)
+    stamps = np.arange(480) * FRAME
+    arrivals = stamps + rng.integers(0, FRAME // 5, size=480)
+    commands = [pilot.step(int(now), frame(int(stamp))) for now, stamp in zip(arrivals, stamps, strict=True)]
+    assert [command is not None for command in commands] == [True, False] * 240
+
+
+def test_at_rest_the_pilot_commands_no_rate_and_the_weight():
+    command = Pilot(PARAMS, Hover()).step(0, frame(0))
+    weight = (PARAMS.vehicle.mass + PARAMS.pendulum.mass) * GRAVITY / PARAMS.vehicle.max_thrust
+    np.testing.assert_allclose(command.body_rate, 0, atol=1e-12)
+    assert command.thrust == pytest.approx(weight, rel=1e-7)  # single precision
+
+
+def test_a_tilted_vehicle_gets_the_thrust_that_still_carries_it_and_is_turned_back():
+    tilted = Rotation.from_euler("XYZ", [0.2, 0.0, 0.3]).as_quat()
+    level = Pilot(PARAMS, Hover()).step(0, frame(0))
+    command = Pilot(PARAMS, Hover()).step(0, frame(0, attitude=tilted))
+    assert command.state[PHI] == pytest.approx(0.2)
+    assert command.thrust * math.cos(0.2) == pytest.approx(level.thrust, rel=1e-6)
+    assert command.body_rate[2] == pytest.approx(-0.3 * PARAMS.piloting.yaw_gains[0], rel=1e-6)
+
+
+def test_low_flight_is_answered_with_more_thrust_within_bounds():
+    pilot = Pilot(PARAMS, Hover())
+    low, far = pilot.step(0, frame(0, (0, 0, 1.2))), Pilot(PARAMS, Hover(height=50.0)).step(0, frame(0))
+    assert Pilot(PARAMS, Hover()).step(0, frame(0)).thrust < low.thrust < far.thrust == 1.0
+
+
+def flown(params: Params, seconds: float) -> list[tuple[float, object]]:
+    """(time, window) of every run that falls due on a hover of that length."""
+    pilot, found = Pilot(params.replace(piloting__estimate=True), Hover()), []
+    for index in range(round(240 * seconds)):
+        pilot.step(index * FRAME, frame(index * FRAME))
+        if window := pilot.window_due():
+            found.append((index / 240, window))
+    return found
+
+
+@pytest.mark.parametrize("run_period", [0.2, 5.0])
+def test_the_estimator_runs_by_either_reading_of_its_rate_once_the_window_is_full(run_period):
+    found = flown(PARAMS.replace(estimation__run_period=run_period), 11.0)
+    times = np.array([time for time, _ in found])
+    assert times[0] == pytest.approx(54 * 0.1, abs=1 / 240)  # 55 samples, 0.1 s apart
+    np.testing.assert_allclose(np.diff(times), run_period, atol=1 / 240)
+    for _, window in found:
+        assert window.states.shape == (55, 10) and window.inputs.shape == (55, 2) and window.step == 0.1
+
+
+def test_a_window_at_the_control_rate_lasts_half_a_second():
+    found = flown(PARAMS.replace(estimation__sample_period=1 / 120), 1.0)
+    assert found[0][0] == pytest.approx(54 / 120, abs=1e-9) and found[0][1].step == pytest.approx(1 / 120)
+
+
+def test_no_window_falls_due_when_nothing_is_to_be_estimated():
+    pilot = Pilot(PARAMS, Hover())
+    for index in range(240 * 6):
+        pilot.step(index * FRAME, frame(index * FRAME))
+        assert pilot.window_due() is None
+
+
+def test_the_inputs_of_a_window_move_the_tilt_as_the_applied_ones_did():
+    """Mean rates over a sample: their sum over the window is that of all applied rates."""
+    pilot = Pilot(PARAMS.replace(piloting__estimate=True), Hover())
+    rng, applied, window = np.random.default_rng(2), [], None
+    for index in range(round(240 * 5.5)):
+        offset = 0.01 * rng.normal(size=2)
+        command = pilot.step(index * FRAME, frame(index * FRAME, offset=offset))
+        window = pilot.window_due()
+        if window is not None:
+            break
+        if command is not None:
+            applied.append(command.body_rate[:2])
+    np.testing.assert_allclose(window.inputs[:-1].sum(0), np.sum(applied, axis=0) / 12, rtol=1e-12)
+
+
+def test_a_new_length_is_taken_over_at_once_or_in_limited_steps():
+    at_once = Pilot(PARAMS.replace(estimation__median_length=1), Hover())
+    assert at_once.receive_estimate(1.7) == at_once.length == 1.7
+    careful = Pilot(PARAMS.replace(estimation__median_length=1, piloting__length_step=0.1), Hover())
+    assert [careful.receive_estimate(length) for length in (1.25, 1.25, 1.25, 0.2)] == pytest.approx(
+        [1.1, 1.2, 1.25, 1.15]
+    )
+
+
+def test_outliers_absurd_and_non_finite_estimates_do_not_reach_the_controller():
+    pilot = Pilot(PARAMS.replace(estimation__median_length=3), Hover())
+    used = [pilot.receive_estimate(length) for length in (1.1, 1.2, 1.15, 1.9, math.nan, math.inf, 1.18)]
+    assert used == pytest.approx([1.1, 1.15, 1.15, 1.2, 1.2, 1.2, 1.18])
+    bounded = Pilot(PARAMS.replace(estimation__median_length=1), Hover())
+    assert bounded.receive_estimate(50.0) == PARAMS.estimation.length_max
+    assert bounded.receive_estimate(-1.0) == PARAMS.estimation.length_min
