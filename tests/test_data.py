@@ -1,0 +1,39 @@
+"""The recorded flights: whole, small, documented, and what the scenarios say."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from fiplib import bags
+from fiplib.simulate import SCENARIOS
+
+DATA = Path(__file__).parent.parent / "data"
+
+
+def test_every_scenario_is_recorded_and_described_in_the_readme():
+    assert {path.parent.name for path in DATA.glob("*/metadata.yaml")} == set(SCENARIOS)
+    readme = (DATA / "README.md").read_text(encoding="utf-8")
+    for name in SCENARIOS:
+        assert f"| `{name}` |" in readme
+
+
+def test_the_checksums_are_those_of_the_files():
+    listed = dict(reversed(line.split()) for line in (DATA / "SHA256SUMS").read_text().splitlines())
+    files = {f"{name}/{file}" for name in SCENARIOS for file in (f"{name}.mcap", "metadata.yaml")}
+    assert set(listed) == files
+    for name, digest in listed.items():
+        assert hashlib.sha256((DATA / name).read_bytes()).hexdigest() == digest, f"data/{name}: run make bags"
+
+
+def test_the_recordings_stay_under_25_megabytes():
+    assert sum(path.stat().st_size for path in DATA.glob("*/*")) < 25e6
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_recorded_flight_is_that_of_its_scenario_and_says_that_it_is_simulated(name):
+    flight, scenario = bags.read(DATA / name), SCENARIOS[name]
+    assert flight.simulated and flight.params == scenario.params and flight.metadata["seed"] == scenario.seed
+    assert flight.truth_length.values[0, 0] == scenario.params.pendulum.length
+    ended = any(event.level == "error" for event in flight.events)
+    assert ended or flight.duration == pytest.approx(scenario.duration, abs=0.01)
