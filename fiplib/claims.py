@@ -1,0 +1,696 @@
+"""Every number that the paper states, what our flights give, and the verdict: the ledger.
+
+``python -m fiplib.claims`` reads the bags and writes the ledger as table and text, and every number of the report as a
+LaTeX macro. A new claim is one function, (paper's number, flights) -> ``Finding``, and one line in ``CLAIMS``.
+
+All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
+never on a simulator's truth: the bag of a real vehicle goes through unchanged.
+"""
+
+import argparse
+import csv
+import io
+import math
+import re
+import sys
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
+from functools import lru_cache, partial
+from itertools import zip_longest
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib import bags, ga, kalman, replay
+from fiplib.bags import BagError, Flight
+from fiplib.kalman import Window
+from fiplib.params import A, B, Params, X, Y
+
+ABOUT = 0.25
+"""Relative difference within which a measured number of the paper counts as met. It says "approximately", and pushes,
+period and noise were other ones than ours: closer agreement would mean nothing."""
+
+LITTLE = 0.1
+"""What the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence): a tenth."""
+
+SETTLED = 0.01
+"""Band in m within which a and b count as settled (D3). The paper names none; 1 cm is a sixth of its largest push."""
+
+FALL_ANGLE = math.radians(30.0)
+"""A rod that leans further has fallen: only to hold it there, the vehicle itself would have to tilt as far."""
+
+FINAL_SECONDS = 5.0
+"""The length a flight comes to is the median over its last seconds: single runs of the estimator scatter."""
+
+CONVERGED = 0.05
+"""Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
+
+ACCURACY = 0.029
+"""Largest error in the paper's Table 3, m. Its three flights scatter from 0.0 to here: a flight of ours that ends as
+close as the worst of them is as good, and one flight cannot tell more."""
+
+LATE = 14.0
+"""Time in s after which the paper saw little to no convergence (G4)."""
+
+EXPLORING = {"estimation__elite_fraction": 0.05, "estimation__mutation_rate": 0.2}
+"""The paper's remedy, fewer elites and more mutation, for which it gives no numbers: r_p from a sixth to a twentieth,
+r_m doubled."""
+
+STRIDE = 14
+"""Every how many runs of the estimator a window is refitted: about half a window apart, 7 in each of our flights."""
+
+SOLVE_TIME = "mpc_p99"
+"""The quantity of benchmarks/solve_times.csv that must fit into a tick: 99 % of the solves take no longer."""
+
+
+class Verdict(StrEnum):
+    """What a row of the ledger says."""
+
+    REPRODUCED = "reproduced"
+    STATED = "reproduced under a stated reading"
+    NOT = "not reproduced"
+    VEHICLE = "cannot be tested without the vehicle"
+    OPEN = "open"
+
+
+class Finding(NamedTuple):
+    """What a claim's function found: ``value`` in the claim's unit (NaN: none), the verdict, under which ``reading`` of
+    the paper and why; ``facts`` are further numbers by name, for the report."""
+
+    value: float
+    verdict: Verdict
+    reading: str
+    facts: Mapping[str, float] = MappingProxyType({})
+
+
+class Claim(NamedTuple):
+    """A claim of the paper: ``paper`` is its number in ``unit`` (None: it states none), shown with ``decimals``.
+
+    ``judge(paper, *sources)`` gets the flights of ``bags``. A name there that ends in .csv is a table of benchmarks/:
+    a dictionary, empty if it is not there.
+    """
+
+    id: str
+    text: str
+    paper: float | None
+    unit: str
+    decimals: int
+    bags: tuple[str, ...]
+    judge: Callable[..., Finding]
+
+
+def verdict(holds: bool, stated: bool = True) -> Verdict:
+    """The verdict of a row that was tested; ``stated``: it stands on a reading or a choice of ours."""
+    return (Verdict.STATED if stated else Verdict.REPRODUCED) if holds else Verdict.NOT
+
+
+def about(value: float, paper: float) -> bool:
+    """Whether a number meets the paper's within ``ABOUT``."""
+    return abs(value - paper) <= ABOUT * abs(paper)
+
+
+# --- what is measured on a flight -----------------------------------------------------------------------------------
+
+
+def states(flight: Flight) -> NDArray:
+    """The states that the controller used, (n, 10). Raises BagError if its references are not there beside them."""
+    for role in ("state", "reference"):
+        if getattr(flight, role) is None:
+            raise BagError(f"{flight.path}: no topic {bags.TOPICS[role]} ({role}), which the ledger is read from")
+    return flight.state.values
+
+
+def lean(flight: Flight) -> NDArray:
+    """max(|a|, |b|) of every recorded state, (n,) m."""
+    return np.abs(states(flight)[:, [A, B]]).max(axis=1)
+
+
+def tracking_error(flight: Flight) -> NDArray:
+    """x - x_ref and y - y_ref of every recorded state, (n, 2) m."""
+    return (states(flight) - flight.reference.values)[:, [X, Y]]
+
+
+def angle(offset: float, flight: Flight) -> float:
+    """Angle in deg of the flight's rod when its COM lies ``offset`` m beside its seat: asin(offset / (l/2))."""
+    return math.degrees(math.asin(min(1.0, 2 * offset / flight.params.pendulum.length)))
+
+
+def fall_time(flight: Flight) -> float:
+    """Time in s at which the rod first leans beyond ``FALL_ANGLE``; inf if it never does."""
+    offset = np.hypot(*states(flight)[:, [A, B]].T)
+    fallen = offset > flight.params.pendulum.length / 2 * math.sin(FALL_ANGLE)
+    return float(flight.time(flight.state)[fallen.argmax()]) if fallen.any() else math.inf
+
+
+def push_times(flight: Flight) -> list[float]:
+    """Times in s of the events that begin with "push". Raises BagError if there are none."""
+    times = [flight.time(event) for event in flight.events if event.text.startswith("push")]
+    if not times:
+        raise BagError(f"{flight.path}: no event on {bags.TOPICS['events']} begins with 'push': when was it pushed?")
+    return times
+
+
+def settling_time(time: NDArray, outside: NDArray) -> float:
+    """First of the times (n,) from which on ``outside`` (n,) is never true; inf if it is true at the end."""
+    first = np.flatnonzero(outside)[-1] + 1 if outside.any() else 0
+    return float(time[first]) if first < len(time) else math.inf
+
+
+class Laps(NamedTuple):
+    """A circular reference: ``mask`` (n,) of its last whole laps at full speed, ``phase`` (n,) rad turned since the
+    start, ``period`` s, ``radius`` m."""
+
+    mask: NDArray
+    phase: NDArray
+    period: float
+    radius: float
+
+
+def laps(flight: Flight) -> Laps:
+    """Read from the recorded reference alone. Raises BagError if it holds no whole lap."""
+    states(flight)
+    path, time = flight.reference.values[:, [X, Y]], flight.time(flight.reference)
+    turned = np.unwrap(np.arctan2(path[:, 1], path[:, 0]))
+    rate = np.gradient(turned, time)
+    period = float(2 * math.pi / abs(rate[-1])) if rate[-1] else math.inf
+    steady = settling_time(time, np.abs(rate - rate[-1]) > 0.01 * abs(rate[-1]))  # speeding up ends smoothly: 1 %
+    count = math.floor((time[-1] - steady) / period)
+    if count < 1:
+        raise BagError(f"{flight.path}: its reference makes no whole circle at full speed")
+    phase = (turned - turned[0]) * np.sign(rate[-1])
+    return Laps(time > time[-1] - count * period, phase, period, float(np.hypot(*path[-1])))
+
+
+def x_response(flight: Flight) -> tuple[float, float]:
+    """Amplitude of x over that of its reference, and its delay in s, at the circle's frequency over its last laps."""
+    lap, x, reference = laps(flight), states(flight)[:, X], flight.reference.values[:, X]
+    basis = np.stack([f(lap.phase[lap.mask]) for f in (np.cos, np.sin, np.ones_like)], axis=1)
+    ours, theirs = (
+        complex(*np.linalg.lstsq(basis, signal[lap.mask], rcond=None)[0][:2].tolist()) for signal in (x, reference)
+    )
+    response = ours / theirs
+    return abs(response), math.atan2(response.imag, response.real) * lap.period / (2 * math.pi)
+
+
+def used_length(flight: Flight) -> tuple[NDArray, NDArray]:
+    """Times (n,) in s at which a length was set, and the lengths (n,) in m. Raises BagError if there are none."""
+    if flight.length is None:
+        raise BagError(f"{flight.path}: no topic {bags.TOPICS['length']}, which says which length was used")
+    return flight.time(flight.length), flight.length.column("used")
+
+
+class Convergence(NamedTuple):
+    """What the used length came to: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
+
+    length: float
+    error: float
+    time: float
+
+
+def convergence(flight: Flight) -> Convergence:
+    """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
+    parameters, and when the used length came to within ``CONVERGED`` of that median for good."""
+    time, used = used_length(flight)
+    late = time > flight.duration - FINAL_SECONDS
+    final = float(np.median(used[late] if late.any() else used[-1:]))
+    error = abs(final - flight.params.pendulum.length)
+    return Convergence(final, error, settling_time(time, np.abs(used - final) > CONVERGED))
+
+
+class Jump(NamedTuple):
+    """A change of the used length: ``size`` in m; it lasts from ``start`` to the next one, a fall or the end, in s."""
+
+    size: float
+    start: float
+    end: float
+    fell: bool
+
+
+def jumps(flight: Flight) -> list[Jump]:
+    """Every change of the used length, in order. Raises BagError if there is none."""
+    time, used = used_length(flight)
+    at, fell = np.flatnonzero(np.diff(used)) + 1, fall_time(flight)
+    if not len(at):
+        raise BagError(f"{flight.path}: the length in use never changes in this flight")
+    sizes, starts = np.abs(used[at] - used[at - 1]).tolist(), time[at].tolist()
+    ends = [*starts[1:], flight.duration]
+    return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
+
+
+def refitted(flight: Flight) -> list[Window]:
+    """The estimator's window of every ``STRIDE``-th run."""
+    return [timed.window for timed in replay.windows(flight)[::STRIDE]]
+
+
+def best_length(window: Window, params: Params) -> float:
+    """The length of smallest fitness that the GA's chromosome can express, m: all lengths in steps of 1 mm, then every
+    code about the best of them. The minimum is centimetres wide, so nothing hides between the steps."""
+    coarse = ga.landscape(window, params.replace(estimation__resolution=1e-3)).best
+    chromosome = ga.Chromosome.of(params.estimation)
+    lengths = chromosome.length(np.arange(chromosome.codes))
+    lengths = lengths[np.abs(lengths - coarse) < 2e-3]
+    return float(lengths[kalman.fitness(lengths, window, params.estimation).argmin()])
+
+
+def rms(values: NDArray) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# --- one function for each claim: (paper's number, what it is read from) -> Finding ---------------------------------
+
+
+def pushes_kept(paper: float, flight: Flight) -> Finding:
+    """D1: the number of pushes after which the rod is still up when the next one comes, or the flight ends."""
+    times, fell = push_times(flight), fall_time(flight)
+    kept = sum(fell > until for until in [*times[1:], flight.duration])
+    when = ", ".join(f"{time:.1f}" for time in times)
+    words = f"Pushed at {when} s. Up: the rod leans less than {math.degrees(FALL_ANGLE):.0f} deg"
+    return Finding(kept, verdict(kept == len(times) == paper, stated=False), words)
+
+
+def push_lean(paper: float, flight: Flight) -> Finding:
+    """D2: max(|a|, |b|) from the first push on, m."""
+    largest = float(lean(flight)[flight.time(flight.state) >= push_times(flight)[0]].max())
+    impulses = [1e3 * math.hypot(*push["impulse"]) for push in flight.metadata.get("pushes", ())]
+    words = "The paper does not say how hard it pushed. Our pushes were chosen to lead about as far; what is tested is"
+    words += " that the rod comes back from there"
+    met = math.isinf(fall_time(flight)) and about(largest, paper)
+    return Finding(largest, verdict(met), words, {"impulse": max(impulses, default=math.nan)})
+
+
+def as_angle(paper: float, flight: Flight, *, of: str) -> Finding:
+    """D2, C1 in degrees: asin(offset / (l/2)); the paper's own offset is turned into degrees the same way."""
+    found, theirs = BY_ID[of].judge(PAPER[of], flight), angle(PAPER[of], flight)
+    words = f"Row {of}, asin(offset / (l/2)). The paper's {PAPER[of]:g} m make {theirs:.2f} deg; it prints {paper:g}"
+    return Finding(angle(found.value, flight), found.verdict, words, {"arithmetic": theirs})
+
+
+def push_settling(paper: float, flight: Flight) -> Finding:
+    """D3: time from a push until |a| and |b| stay below ``SETTLED``, s; the longest of all pushes."""
+    time, outside, starts = flight.time(flight.state), lean(flight) > SETTLED, push_times(flight)
+    spans = [(time >= start) & (time < until) for start, until in zip(starts, [*starts[1:], math.inf], strict=True)]
+    longest = max(settling_time(time[s], outside[s]) - start for s, start in zip(spans, starts, strict=True))
+    words = f"Settled: a and b stay within {100 * SETTLED:g} cm (the paper names no band). The slowest of the pushes"
+    return Finding(longest, verdict(about(longest, paper)), words, {"band": 100 * SETTLED})
+
+
+def circle_lean(paper: float, flight: Flight) -> Finding:
+    """C1: max(|a|, |b|) over the whole flight, start included, m."""
+    largest, lap = float(lean(flight).max()), laps(flight)
+    words = f"A lap in {lap.period:.1f} s is our reading: the paper states no period, and the lean depends on it"
+    met = math.isinf(fall_time(flight)) and about(largest, paper)
+    return Finding(largest, verdict(met), words, {"period": lap.period, "radius": lap.radius})
+
+
+def circle_gain(paper: None, flight: Flight) -> Finding:
+    """C2: amplitude of x over that of its reference, last whole laps."""
+    gain, _ = x_response(flight)
+    words = f"'Minimal undershoot': an amplitude short by up to {100 * LITTLE:g} %. Our period, see C1"
+    return Finding(gain, verdict(1 - LITTLE <= gain < 1), words)
+
+
+def circle_delay(paper: None, flight: Flight) -> Finding:
+    """C2: how far x lags behind its reference, s, last whole laps."""
+    _, delay = x_response(flight)
+    slight = LITTLE * laps(flight).period / 4
+    words = f"'Slight delay': above 0, up to a tenth of a quarter period, {slight:.2f} s"
+    ahead = ". Ours runs ahead: the MPC sees the reference over its whole horizon" if delay <= 0 else ""
+    return Finding(delay, verdict(0 < delay <= slight), words + ahead)
+
+
+def circle_y(paper: float, flight: Flight) -> Finding:
+    """C2: max |y - y_ref| over the whole flight, m."""
+    largest = float(np.abs(tracking_error(flight)[:, 1]).max())
+    words = "Largest error of the whole flight"
+    if largest < paper and not about(largest, paper):
+        words += ". Ours is smaller: weights and inner loop are the same on both axes, y tracks much as x does"
+    return Finding(largest, verdict(about(largest, paper)), words)
+
+
+def circle_axes(paper: None, flight: Flight) -> Finding:
+    """C3: RMS error of y over that of x, last whole laps."""
+    x, y = (rms(error) for error in tracking_error(flight)[laps(flight).mask].T)
+    words = "Not tested yet. Shown: RMS error of y over that of x, with the same weights on both axes"
+    if y <= (1 + ABOUT) * x:
+        words += ". Here y is about as good as x: a flight with other weights on y must show the fault first"
+    return Finding(y / x, Verdict.OPEN, words)
+
+
+def final_length(paper: float, flight: Flight) -> Finding:
+    """G1-G3: the length that the flight's estimate came to, m."""
+    found, e, lap = convergence(flight), flight.params.estimation, laps(flight)
+    words = f"A run each {e.run_period:g} s on {e.window} samples at {1 / e.sample_period:g} Hz, fitness '{e.fitness}',"
+    words += f" our noise covariances and circle; median of the used length over the last {FINAL_SECONDS:g} s"
+    return Finding(found.length, verdict(found.error <= ACCURACY), words, {"period": lap.period, "radius": lap.radius})
+
+
+def final_error(paper: float, flight: Flight) -> Finding:
+    """G1-G3: how far that is from the rod's length, m."""
+    error = convergence(flight).error
+    words = f"Met when as close as the paper's worst flight, {ACCURACY:g} m: one flight cannot tell more"
+    return Finding(error, verdict(error <= ACCURACY), words)
+
+
+def convergence_time(paper: float, flight: Flight) -> Finding:
+    """G1-G3: when the used length came to within ``CONVERGED`` of its final value for good, s from the start.
+
+    Met if it first came that close at about the same time: what comes, drifts off and returns has not converged then.
+    """
+    final, _, time = convergence(flight)
+    moments, used = used_length(flight)
+    first = float(moments[np.argmax(np.abs(used - final) <= CONVERGED)])
+    full = (flight.params.estimation.window - 1) * flight.params.estimation.sample_period
+    words = f"Within {100 * CONVERGED:g} cm of its final value for good (the paper defines no convergence)"
+    if full > paper:
+        words += f". {paper:g} s cannot be reached under this reading: the first window takes {full:.1f} s to fill"
+    elif about(time, paper) and not about(first, paper):
+        words += f". No match: it first comes that close at {first:.1f} s, drifts off by a little and returns"
+    elif time < paper and not about(time, paper):
+        words += f". Ours is earlier: the first window, full at {full:.1f} s, gives nearly the final value"
+    return Finding(time, verdict(about(time, paper) and about(first, paper)), words, {"window": full, "first": first})
+
+
+def printed_fitness(paper: float, flight: Flight) -> Finding:
+    """G1-G3: the length at which the fitness as printed (Euler, J = df/dx, posterior residual) is smallest, searched
+    exhaustively in steps of 1 mm; median over windows of the flight."""
+    ours = flight.params.replace(estimation__fitness="paper", estimation__resolution=1e-3)
+    unit = ours.replace(estimation__process_noise=(1.0,) * 10, estimation__measurement_noise=(1.0,) * 10)
+    windows = refitted(flight)
+    best, plain = (float(np.median([ga.landscape(window, p).best for window in windows])) for p in (ours, unit))
+    words = f"Fitness exactly as printed, exhaustive search, median of {len(windows)} windows of this flight, our noise"
+    words += f" covariances. With Q_e = R_e = I it is {plain:.3f} m"
+    met, plain_met = (abs(length - flight.params.pendulum.length) <= ACCURACY for length in (best, plain))
+    words += ": it is the covariances that decide" if met != plain_met else ""
+    return Finding(best, verdict(met), words, {"identity": plain})
+
+
+def late_convergence(paper: None, *flights: Flight) -> Finding:
+    """G4: share of the initial error that goes after ``LATE``; the largest of the flights."""
+    shares = []
+    for flight in flights:
+        time, used = used_length(flight)
+        initial, late = np.abs(used[[0, np.searchsorted(time, LATE, "right") - 1]] - flight.params.pendulum.length)
+        shares.append(float((late - convergence(flight).error) / initial))
+    words = f"Share of the initial error that goes after {LATE:g} s, largest of {len(flights)} flights. 'Little to no':"
+    return Finding(max(shares), verdict(max(shares) <= LITTLE), f"{words} up to {LITTLE:g}")
+
+
+@lru_cache(maxsize=1)
+def search_gaps(*flights: Flight) -> tuple[float, float, float, int]:
+    """The GA against the exhaustive optimum l_best of the same fitness.
+
+    Returns:
+        |l_GA - l_best| in m as flown and with ``EXPLORING``, |l_best - l| in m, all medians over windows; their number.
+    """
+    cases = [(window, flight.params) for flight in flights for window in refitted(flight)]
+    best = np.array([best_length(*case) for case in cases])
+    found = {explore: [] for explore in (False, True)}
+    for run, (window, params) in enumerate(cases):
+        for explore, lengths in found.items():
+            rng = np.random.default_rng([0, run])
+            lengths.append(ga.estimate(window, params.replace(**EXPLORING) if explore else params, rng).length)
+    flown, explored = (float(np.median(np.abs(np.array(lengths) - best))) for lengths in found.values())
+    optimum = float(np.median(np.abs(best - [params.pendulum.length for _, params in cases])))
+    return flown, explored, optimum, len(cases)
+
+
+def search_as_printed(paper: None, *flights: Flight) -> Finding:
+    """G4: |l_GA - l_best| in m. Exploration limits the estimate where this exceeds what l_best itself is wrong by."""
+    gap, _, optimum, count = search_gaps(*flights)
+    words = f"GA's answer to best of all lengths, median of {count} windows; N_c, generations ours. The best is"
+    words += f" {1e3 * optimum:.0f} mm off the rod" + ("" if gap > optimum else ": exploration is not what limits it")
+    return Finding(gap, verdict(gap > optimum), words, {"optimum": 1e3 * optimum, "windows": count, "gap": 1e3 * gap})
+
+
+def search_mended(paper: None, *flights: Flight) -> Finding:
+    """G4: the same with ``EXPLORING``: a remedy if there is something to mend, and it comes closer."""
+    gap, explored, optimum, _ = search_gaps(*flights)
+    share, rate = EXPLORING.values()
+    words = f"As G4.search, with r_p = {share:g} and r_m = {rate:g}; as printed it is {1e3 * gap:.1f} mm"
+    words += "" if gap > optimum else ", and there is nothing to mend"
+    return Finding(explored, verdict(gap > optimum and explored < gap), words, {"gap": 1e3 * explored})
+
+
+def tracking_ratio(paper: None, flight: Flight) -> Finding:
+    """G5: RMS error of x on the arc flown before the first update of the length, in later laps over the first."""
+    phase, time = laps(flight).phase, flight.time(flight.reference)
+    before = (phase > 0) & (time < jumps(flight)[0].start)
+    arc = phase[before].max()
+    after = (phase > 2 * math.pi) & (phase % (2 * math.pi) <= arc)
+    x, y = (rms(error[after]) / rms(error[before]) for error in tracking_error(flight).T)
+    words = "RMS error of x on the arc flown before the first update: later laps over the first, that starts from rest."
+    return Finding(x, verdict(x < 1), f"{words} Better: below 1. The same of y: {y:.2f}", {"y": y})
+
+
+def survived_jump(paper: float, flight: Flight) -> Finding:
+    """G6: the largest change of the used length at once, m, after which the rod stays up."""
+    all_jumps = jumps(flight)
+    largest = max((jump.size for jump in all_jumps if not jump.fell), default=math.nan)
+    met = largest < paper and all(jump.size > paper for jump in all_jumps if jump.fell)
+    words = "Met if no change below the paper's makes the rod fall. Changes in this flight: "
+    return Finding(largest, verdict(met), words + ", ".join(f"{jump.size:.2f}" for jump in all_jumps) + " m")
+
+
+def fatal_jump(paper: float, flight: Flight) -> Finding:
+    """G6: the smallest change of the used length at once, m, after which the commands fluctuate and the rod falls."""
+    all_jumps = jumps(flight)
+    if not (fatal := [jump for jump in all_jumps if jump.fell]) or flight.command is None:
+        return Finding(math.nan, Verdict.NOT, "No change of the length makes the rod fall in this flight")
+    size, start, end, _ = min(fatal)
+    time, rates = flight.time(flight.command), flight.command.values[:, :2]
+    ratio = rms(rates[(time >= start) & (time < end)]) / rms(rates[time < all_jumps[0].start])
+    words = f"It falls {end - start:.1f} s after the change; until then the rate commands are {ratio:.1f} times those"
+    words += " before any change (RMS). Whether the jump does it or flying on with a wrong length is not told apart"
+    return Finding(size, verdict(size > paper and ratio > 1 + ABOUT), words, {"delay": end - start, "ratio": ratio})
+
+
+def solve_time(paper: float, table: Mapping[str, float]) -> Finding:
+    """R1: time of one MPC solve, ms, from the benchmark's table."""
+    if SOLVE_TIME not in table:
+        return Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
+    words = "99 % of the solves take no longer, on the benchmark's machine; our exact solver in place of acados"
+    return Finding(table[SOLVE_TIME] / 1e3, verdict(table[SOLVE_TIME] / 1e3 < paper), words)
+
+
+def untested(paper: None, *, verdict: Verdict, why: str) -> Finding:
+    """A row that no recorded flight speaks about."""
+    return Finding(math.nan, verdict, why)
+
+
+def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
+    """The rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
+    text, bag = f"From l0 = {start} m:", (f"estimate-{start}",)
+    return (
+        Claim(f"{id}.length", f"{text} length reached", length, "m", 3, bag, final_length),
+        Claim(f"{id}.error", f"{text} its error", error, "m", 3, bag, final_error),
+        Claim(f"{id}.time", f"{text} convergence time", time, "s", 2, bag, convergence_time),
+        Claim(f"{id}.literal", f"{text} best length by the printed fitness", length, "m", 3, bag, printed_fitness),
+    )
+
+
+_PUSH, _CIRCLE, _JUMP = ("push-hover",), ("circle-0.8",), ("length-jump",)
+_ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
+_NO_STEPS = "Not tested yet: no flight with limited steps is recorded"
+_NO_CORES = "In the simulator an estimate comes late but never takes the MPC's time: this needs the vehicle's computer"
+
+CLAIMS = (
+    Claim("D1", "Three pushes in hover: balance is kept", 3, "pushes", 0, _PUSH, pushes_kept),
+    Claim("D2", "Pushes: largest deviation of a, b", 0.058, "m", 3, _PUSH, push_lean),
+    Claim("D2.angle", "The same as an angle", 6.67, "deg", 2, _PUSH, partial(as_angle, of="D2")),
+    Claim("D3", "Pushes: settling time of a, b", 2.0, "s", 2, _PUSH, push_settling),
+    Claim("C1", "Circle of 0.8 m: largest deviation of a, b", 0.025, "m", 3, _CIRCLE, circle_lean),
+    Claim("C1.angle", "The same as an angle", 2.87, "deg", 2, _CIRCLE, partial(as_angle, of="C1")),
+    Claim("C2.gain", "Circle: minimal undershoot of x", None, "1", 3, _CIRCLE, circle_gain),
+    Claim("C2.delay", "Circle: slight delay of x", None, "s", 3, _CIRCLE, circle_delay),
+    Claim("C2.y", "Circle: largest error of y", 0.2, "m", 3, _CIRCLE, circle_y),
+    Claim("C3", "Other weights on y and its rate would mend y", None, "1", 2, _CIRCLE, circle_axes),
+    *_estimation("G1", "0.8", 0.973, 0.027, 14.68),
+    *_estimation("G2", "1.2", 1.029, 0.029, 3.99),
+    *_estimation("G3", "1.4", 1.0, 0.0, 12.43),
+    Claim("G4.late", "Little to no convergence after 14 s", None, "1", 2, _ESTIMATES, late_convergence),
+    Claim("G4.search", "The GA explores too little", None, "m", 4, _ESTIMATES, search_as_printed),
+    Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, _ESTIMATES, search_mended),
+    Claim("G5", "Tracking in x improves once l is updated", None, "1", 2, ("estimate-1.4",), tracking_ratio),
+    Claim("G6.safe", "A change of l at once up to here is survived", 0.8, "m", 2, _JUMP, survived_jump),
+    Claim("G6.fatal", "A change of l at once beyond here: instability", 0.8, "m", 2, _JUMP, fatal_jump),
+    Claim("G6.steps", "Small steps of l would mend it", None, "1", 2, (),
+          partial(untested, verdict=Verdict.OPEN, why=_NO_STEPS)),
+    Claim("R1.mpc", "MPC in real time at 120 Hz: time of one solve", 8.33, "ms", 2, ("solve_times.csv",), solve_time),
+    Claim("R1.ga", "The GA does not stall the MPC", None, "1", 2, (),
+          partial(untested, verdict=Verdict.VEHICLE, why=_NO_CORES)),
+)  # fmt: skip
+"""The ledger, row by row."""
+
+BY_ID = {claim.id: claim for claim in CLAIMS}
+PAPER = {claim.id: claim.paper for claim in CLAIMS if claim.paper is not None}
+"""The paper's numbers by id of the claim, each in its claim's unit."""
+
+
+# --- the ledger as files --------------------------------------------------------------------------------------------
+
+
+class Row(NamedTuple):
+    """A row of the ledger as text; ``facts`` are numbers that only the report prints."""
+
+    id: str
+    claim: str
+    paper: str
+    ours: str
+    unit: str
+    reading: str
+    verdict: str
+    bag: str
+    facts: Mapping[str, str]
+
+
+def evaluate(data: Path = Path("data"), benchmarks: Path = Path("benchmarks")) -> list[Row]:
+    """Judge every claim on the bags in ``data`` and the tables in ``benchmarks``. Raises BagError."""
+    sources: dict[str, Flight | Mapping[str, float]] = {}
+    for name in dict.fromkeys(name for claim in CLAIMS for name in claim.bags):
+        sources[name] = _table(benchmarks / name) if name.endswith(".csv") else bags.read(data / name)
+    return [judged(claim, [sources[name] for name in claim.bags]) for claim in CLAIMS]
+
+
+def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float]]) -> Row:
+    """The row of one claim, from what it is read from."""
+    found = claim.judge(claim.paper, *sources)
+    paper, ours = (
+        "" if value is None or math.isnan(value) else f"{value:.{claim.decimals}f}"
+        for value in (claim.paper, found.value)
+    )
+    origins = sorted({source.metadata["origin"] for source in sources if isinstance(source, Flight)})
+    bag = ", ".join(claim.bags) + (f" ({' and '.join(origins)})" if origins else "")
+    facts = {name: f"{value:.3g}" for name, value in found.facts.items()}
+    return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)
+
+
+def _table(path: Path) -> Mapping[str, float]:
+    """Numbers by name from a CSV with the columns quantity and value_us; empty if there is no such file."""
+    if not path.exists():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return {entry["quantity"]: float(entry["value_us"]) for entry in csv.DictReader(file)}
+    except (KeyError, ValueError, TypeError) as error:
+        raise BagError(f"{path}: needs the columns quantity and value_us ({error!r}); measure again") from error
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([Row._fields[:-1], *(row[:-1] for row in rows)])
+    return text.getvalue()
+
+
+WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
+"""Columns of the ledger in a terminal: 148 characters with two between them."""
+
+
+def as_text(rows: Sequence[Row]) -> str:
+    """The ledger to read in a terminal, long texts wrapped."""
+
+    def lines(cells: Sequence[str]) -> list[str]:
+        wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, WIDTHS.values(), strict=True)]
+        return [
+            "  ".join(
+                part.rjust(width) if name in ("paper", "ours") else part.ljust(width)
+                for part, (name, width) in zip(parts, WIDTHS.items(), strict=True)
+            ).rstrip()
+            for parts in zip_longest(*wrapped, fillvalue="")
+        ]
+
+    counts = ", ".join(f"{count} {name}" for name, count in counted(rows).items())
+    text = [f"What the paper claims and what we get, {len(rows)} rows:", f"{counts}.", "", *lines(list(WIDTHS))]
+    text.append("-" * len("  ".join("-" * width for width in WIDTHS.values())))
+    for row in rows:
+        reading = f"{row.reading}." + (f" [{row.bag}]" if row.bag else "")
+        text += [*lines([*(getattr(row, name) for name in list(WIDTHS)[:-1]), reading]), ""]
+    return "\n".join(text)
+
+
+def as_latex(rows: Sequence[Row]) -> str:
+    """The ledger as a booktabs tabular of the page's width; the reasons stay in the CSV."""
+    lines = ["Row & Claim of the paper & Paper & Ours & Unit & Verdict"]
+    for row in rows:
+        symbols = re.sub(r"\b([abxyl])(0?)\b", lambda found: f"${found[1]}{'_0' if found[2] else ''}$", row.claim)
+        numbers = (number.replace("-", "$-$") or "--" for number in (row.paper, row.ours))
+        lines.append(" & ".join((row.id, symbols, *numbers, "" if row.unit == "1" else row.unit, row.verdict)))
+    head, *body = (rf"{line} \\" for line in lines)
+    top, bottom = r"\begin{tabular}{@{}llrrll@{}}" + "\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
+    return "\n".join([top, head, r"\midrule", *body, bottom])
+
+
+def counted(rows: Sequence[Row]) -> dict[str, int]:
+    """How many rows have each of the verdicts."""
+    count = Counter(row.verdict for row in rows)
+    return {str(kind): count[kind] for kind in Verdict}
+
+
+def macros(rows: Sequence[Row], params: Params) -> dict[str, str]:
+    """Every number of the report by name: Paper, Ours, Verdict + row; Fact + row + name; Count + name of a verdict;
+    Param + group + field for each finite scalar parameter, with a few derived ones."""
+    values = {
+        (group, name): value
+        for group, fields in params.to_dict().items()
+        for name, value in fields.items()
+        if type(value) in (int, float)
+    }
+    values["pendulum", "inertia_factor"] = params.pendulum.inertia_factor
+    values["control", "step"] = params.control.step
+    values["vehicle", "max_body_rate_degrees"] = math.degrees(params.vehicle.max_body_rate)
+    for name in ("mocap_latency", "rate_delay", "rate_lag"):
+        values["simulation", f"{name}_ms"] = round(1e3 * getattr(params.simulation, name), 2)
+    named = {macro("Param", *words): f"{value:.4g}" for words, value in values.items()}
+    for row in rows:
+        named |= {macro(kind, row.id): getattr(row, kind.lower()) for kind in ("Paper", "Ours", "Verdict")}
+        named |= {macro("Fact", row.id, name): text for name, text in row.facts.items()}
+    named |= {macro("Count", kind): str(count) for kind, count in {"rows": len(rows), **counted(rows)}.items()}
+    return {name: text for name, text in named.items() if text}
+
+
+def macro(*words: str) -> str:
+    """A name of letters only, as LaTeX wants it: ("Ours", "G1.time") -> OursGOneTime."""
+    digits = "Zero One Two Three Four Five Six Seven Eight Nine".split()
+    parts = re.findall(r"[A-Za-z]+|\d", " ".join(words))
+    return "".join(digits[int(part)] if part.isdigit() else part[0].upper() + part[1:] for part in parts)
+
+
+def write(rows: Sequence[Row], figures: Path, generated: Path) -> list[Path]:
+    """Write claims.csv and claims.txt into ``figures``, numbers.tex and claims-table.tex into ``generated``."""
+    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params()).items()]
+    contents = {
+        figures / "claims.csv": as_csv(rows),
+        figures / "claims.txt": as_text(rows),
+        generated / "numbers.tex": "".join(numbers),
+        generated / "claims-table.tex": as_latex(rows),
+    }
+    for path, text in contents.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", newline="\n")
+    return list(contents)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line. Returns the exit code: 0, or 2 with one line on stderr."""
+    parser = argparse.ArgumentParser(prog="python -m fiplib.claims", description="Hold our flights against the paper.")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+    parser.add_argument("--benchmarks", type=Path, default=Path("benchmarks"), help="folder of solve_times.csv")
+    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder for claims.csv and claims.txt")
+    parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder for the LaTeX files")
+    options = parser.parse_args(arguments)
+    try:
+        print("wrote", *write(evaluate(options.data, options.benchmarks), options.figures, options.generated))
+    except (BagError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
