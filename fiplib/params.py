@@ -255,11 +255,7 @@ class Params:
             ValueError: a group or field is not known here.
         """
         return cls().replace(
-            **{
-                f"{group}__{key}": _parsed(value)
-                for group, fields in values.items()
-                for key, value in fields.items()
-            }
+            **{f"{group}__{key}": _parsed(value) for group, fields in values.items() for key, value in fields.items()}
         )
 
 
