@@ -34,6 +34,10 @@ FLIGHTS := $(SCENARIOS:%=fly-%)
 # Whatever is computed is computed anew when the code or the pinned packages change.
 CODE := $(wildcard fiplib/*.py) requirements.lock
 
+# What `make sweep` runs, and how: make sweep STUDIES='survival --limit 10'. One worker process per core; with
+# DASK_SCHEDULER_ADDRESS=tcp://host:8786 in the environment, or on make's command line, the workers of that scheduler.
+STUDIES := --all
+
 LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive-bibtex-extra latexmk cm-super
 
 .DEFAULT_GOAL := help
@@ -41,7 +45,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test bags bench paper latex lint lab clean
+.PHONY: help figures test bags sweep bench paper latex lint lab clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -56,7 +60,10 @@ test: .venv/installed ## run the tests, on every core
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	cd data && $(SHA256) $(foreach name,$(sort $(SCENARIOS)),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
 
-bench: .venv/installed ## time the controller and the estimator
+sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
+	$(PY) -m fiplib.sweep $(STUDIES)
+
+bench: .venv/installed ## time the controller, the estimator and a sweep
 	@set -e; for script in benchmarks/*.py; do echo "$$script"; $(PY) "$$script"; done
 
 paper: latex paper/build/main.pdf ## typeset the reproduction report, paper/build/main.pdf (needs LaTeX)

@@ -79,13 +79,14 @@ def test_the_lock_holds_no_address():
     assert not INDEX_HOST.search(LOCK)
 
 
-def test_the_lock_satisfies_the_core_and_dev_dependencies_of_the_project():
+def test_the_lock_satisfies_what_the_library_the_tests_and_the_sweeps_need():
     locked = {}
     for entry in locked_entries():
         requirement = Requirement(entry.split("--hash")[0])
         assert requirement.name not in locked, f"{requirement.name} has one version on every Python, as the bags need"
         locked[canonicalize_name(requirement.name)] = requirement.specifier
-    for requirement in map(Requirement, [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["dev"]]):
+    extras = PROJECT["optional-dependencies"]
+    for requirement in map(Requirement, [*PROJECT["dependencies"], *extras["dev"], *extras["sweep"]]):
         version = str(locked[canonicalize_name(requirement.name)]).removeprefix("==")
         assert version in requirement.specifier, f"{requirement} is not served by the locked {version}"
 
