@@ -104,9 +104,10 @@ class Control:
     nodes: int = quantity(60, "1", "paper, Table 2: N")
     horizon: float = quantity(6.0, "s", "paper, Table 2: t_f")
     state_weights: tuple[float, ...] = quantity(
-        (20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
+        (20.0, 5.0, 2.0, 0.5, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
         "1/unit^2",
-        "our choice: Q; heavy on a, b, so that a wrong length flies",
+        "our choice: Q; heavy on a, b, so that a wrong length flies; y and y' a tenth of x and x', as the paper's own "
+        "weights of y wanted tuning (section 4.2); found by the study 'weights'",
         zero=True,
     )
     input_weights: tuple[float, ...] = quantity((0.5, 0.5), "s^2/rad^2", "our choice: R")
@@ -130,9 +131,16 @@ class Control:
 class Estimation:
     """The length estimator: window, schedule, genetic algorithm, Kalman filter."""
 
+    estimator: str = quantity("ga", "-", "paper, section 2.3: genetic algorithm; a name in estimators.ESTIMATORS")
     window: int = quantity(55, "samples", "paper, Table 2: t_w")
     sample_period: float = quantity(
         0.1, "s", "reading: the MPC's own step; at 1/120 s the window (0.46 s) barely holds the length"
+    )
+    raw_window: float = quantity(
+        2.5, "s", "our choice: frames of motion capture given to an estimator that takes them as measured"
+    )
+    first_raw_window: float = quantity(
+        0.3, "s", "our choice: with the trusted hand-over, frames before the first run; shorter ones hold no length"
     )
     run_period: float = quantity(0.2, "s", "reading of '0.2 Hz': a 0.2 s period; the other reading is 5.0 s")
     length_min: float = quantity(0.2, "m", "paper, Table 2: l_min")
@@ -167,6 +175,27 @@ class Piloting:
     estimate: bool = quantity(False, "-", "per flight: whether the length is estimated in flight")
     length_step: float = quantity(
         math.inf, "m", "largest change of the used length per hand-over; infinite as printed, finite as its conclusion"
+    )
+    handover: str = quantity(
+        "printed", "-", "paper: median of estimates, at once; 'trusted' weighs them by their standard deviation"
+    )
+    rod_lengths: tuple[float, float] = quantity(
+        (0.5, 1.5), "m", "our choice: trusted: shortest and longest rod to expect, `caution` deviations off the middle"
+    )
+    caution: float = quantity(
+        2.0, "1", "our choice: trusted: deviations on the short side of the belief; 1 belief in 44 is shorter"
+    )
+    outlier_gate: float = quantity(
+        4.0, "1", "our choice: trusted: deviations from the belief beyond which an estimate is not believed"
+    )
+    default_deviation: float = quantity(
+        0.1, "m", "our choice: trusted: for an estimate that brings none; above the GA's scatter, 0.004 to 0.08 m rms"
+    )
+    shortest_survivable: float = quantity(
+        0.4, "1", "measured: trusted: least used per believed length; at 0.2 the rod falls, see studies.survival"
+    )
+    largest_rise: float = quantity(
+        1.25, "1", "our choice: trusted: used length over the one before at most; a jump by 1.6 was survived"
     )
     pendulum_measurement: str = quantity(
         "position", "-", "reading: 'position' of the COM, or 'direction' of the rod times half the used length"

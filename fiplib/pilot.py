@@ -10,18 +10,18 @@ that a replay sees exactly what the flight saw.
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.dynamics import euler_angles
-from fiplib.ga import MedianFilter
+from fiplib.estimators import ESTIMATORS, Estimator
+from fiplib.handover import HANDOVERS, HandOver
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Status
 from fiplib.params import A_DOT, B_DOT, GRAVITY, PHI, THETA, X_DOT, Y_DOT, A, B, Params, Piloting, X, Y
-
-NANO = 1_000_000_000
+from fiplib.windows import LEAD, NANO, RawSampler, RawWindow
 
 
 class Measurement(NamedTuple):
@@ -173,18 +173,19 @@ class Pilot:
 
     def __init__(self, params: Params, reference: Reference) -> None:
         self.params, self.reference = params, reference
-        self.length = params.piloting.initial_length
+        self._sampler = SAMPLERS[estimator_of(params).kind](params)
+        policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
+        self._handover: HandOver = policy(params, self._sampler.seconds / params.estimation.run_period)
+        self.length = self._handover.used
         self._mpc = MPC(params)
         self._observer = Observer(params.piloting)
         self._altitude = PID(params.piloting.altitude_gains, params.piloting.altitude_integral_limit)
         self._yaw = PID(params.piloting.yaw_gains)
-        self._median = MedianFilter(params.estimation.median_length)
         self._horizon = np.arange(params.control.nodes + 1) * params.control.step
         self._tick_ns = round(NANO / params.piloting.control_rate)
         self._slack_ns = round(NANO / params.piloting.mocap_rate / 2)
         self._first: int | None = None
         self._last: int | None = None
-        self._sampler = WindowSampler(params)
 
     def step(self, now: int, measurement: Measurement) -> Command | None:
         """Take one frame; at a control tick, say what to do.
@@ -197,6 +198,8 @@ class Pilot:
             The command at a control tick (``control_rate``), ``None`` at the frames between.
         """
         state, (height, climb_rate, yaw) = self._observer.update(measurement, self.length)
+        if isinstance(self._sampler, RawSchedule):
+            self._sampler.push_frame(measurement)
         if self._first is None:
             self._first = now
         # half a frame early counts: arrival times jitter about the tick
@@ -214,29 +217,41 @@ class Pilot:
         thrust = float(np.float32(max(0.0, min(1.0, lift / self.params.vehicle.max_thrust))))
         limit = self.params.vehicle.max_body_rate
         yaw_rate = max(-limit, min(limit, self._yaw.update(-yaw, 0.0, elapsed)))
-        self._sampler.push(state, solution.input)
         body_rate = np.array((solution.input[0], solution.input[1], yaw_rate))
+        if isinstance(self._sampler, RawSchedule):
+            self._sampler.push_command(now, body_rate, thrust)
+        else:
+            self._sampler.push(state, solution.input)
         return Command(now, body_rate, thrust, state, reference[0], self.length, solution.status)
 
-    def window_due(self) -> Window | None:
-        """The estimator's window when a run is due by its schedule (``run_period``), else ``None``."""
+    def window_due(self) -> Window | RawWindow | None:
+        """The window, of the estimator's kind, when a run is due by its schedule (``run_period``), else ``None``."""
         return self._sampler.due(self._last) if self.params.piloting.estimate else None
 
-    def receive_estimate(self, length: float) -> float:
-        """Take a new estimate over: median of the last runs, kept within [l_min, l_max], in limited steps.
+    def receive_estimate(self, length: float, deviation: float = math.nan) -> float:
+        """Take a new estimate over by the policy ``piloting.handover``.
 
         Args:
             length: raw estimate in m; a non-finite one is ignored.
+            deviation: its standard deviation in m; nan if it has none.
 
         Returns:
             The length used from the next tick on, m.
         """
-        if math.isfinite(length):
-            estimation, step = self.params.estimation, self.params.piloting.length_step
-            target = max(estimation.length_min, min(estimation.length_max, self._median.push(length)))
-            self.length = float(max(self.length - step, min(self.length + step, target)))
-            self._mpc.prepare(self.length)  # here, and not within the next tick
+        self.length = self._handover.update(length, deviation)
+        self._mpc.prepare(self.length)  # here, and not within the next tick
         return self.length
+
+
+def estimator_of(params: Params) -> Estimator:
+    """The estimator that a flight uses; ValueError if its name is not known."""
+    return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
+
+
+def _known(parameter: str, name: str, registry: dict[str, Any]) -> Any:
+    if name not in registry:
+        raise ValueError(f"{parameter} must be one of {', '.join(registry)}, not {name!r}")
+    return registry[name]
 
 
 class WindowSampler:
@@ -250,6 +265,7 @@ class WindowSampler:
         self._estimation = params.estimation
         self._ticks = max(1, round(params.estimation.sample_period * params.piloting.control_rate))
         self._step = self._ticks / params.piloting.control_rate
+        self.seconds = params.estimation.window * self._step
         self._states: deque[NDArray] = deque(maxlen=params.estimation.window)
         self._inputs: deque[NDArray] = deque(maxlen=params.estimation.window)
         self._pending: list[NDArray] = []
@@ -276,3 +292,52 @@ class WindowSampler:
         self._last_run = now
         inputs = np.array([*list(self._inputs)[-(self._estimation.window - 1) :], self._pending[-1]])
         return Window(np.array(self._states), inputs, self._step)
+
+
+class RawSchedule:
+    """Gathers frames as measured and commands as sent, and keeps the schedule of an estimator of kind "raw".
+
+    Frames count from ``LEAD`` after the first command on: what moved the vehicle before that is not known. The trusted
+    hand-over gets windows of ``first_raw_window`` already, which grow to ``raw_window``.
+    """
+
+    def __init__(self, params: Params) -> None:
+        self._estimation = params.estimation
+        self.seconds = params.estimation.raw_window
+        self._least = params.estimation.first_raw_window if params.piloting.handover == "trusted" else math.inf
+        self._slack = 0.5 / params.piloting.mocap_rate
+        self._sampler = RawSampler(self.seconds)
+        self._first_command: int | None = None
+        self._fresh = False
+        self._last_run: int | None = None
+
+    def push_frame(self, measurement: Measurement) -> None:
+        """Take a frame as it arrives, before the command that answers it."""
+        self._fresh = False
+        if self._first_command is not None and measurement.stamp - self._first_command >= LEAD * NANO:
+            attitude = euler_angles(measurement.vehicle_attitude)
+            self._sampler.push_frame(
+                measurement.stamp, measurement.vehicle_position, measurement.pendulum_position, attitude
+            )
+
+    def push_command(self, now: int, body_rate: NDArray, thrust: float) -> None:
+        """Take the command (3,) rad/s and normalised thrust of a control tick at ``now`` ns."""
+        self._fresh = True
+        if self._first_command is None:
+            self._first_command = now
+        self._sampler.push_command(now, body_rate, thrust)
+
+    def due(self, now: int | None) -> RawWindow | None:
+        """The window, at a control tick, when it is long enough, and ``run_period`` has passed since the last."""
+        if now is None or not self._fresh:
+            return None
+        if self._last_run is not None and (now - self._last_run) / NANO < self._estimation.run_period - self._slack:
+            return None
+        window = self._sampler.window(self._least)
+        if window is not None:
+            self._last_run = now
+        return window
+
+
+SAMPLERS: dict[str, type[WindowSampler] | type[RawSchedule]] = {"states": WindowSampler, "raw": RawSchedule}
+"""What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

@@ -12,18 +12,30 @@ from typing import NamedTuple
 import numpy as np
 
 from fiplib.bags import BagError, Event, Flight, Poses, Series
+from fiplib.dynamics import euler_angles
 from fiplib.kalman import Window
 from fiplib.params import STATE_NAMES, STATES, Params
-from fiplib.pilot import REFERENCES, Measurement, Observer, Pilot, Reference, WindowSampler
+from fiplib.pilot import (
+    NANO,
+    REFERENCES,
+    Measurement,
+    Observer,
+    Pilot,
+    RawSchedule,
+    Reference,
+    WindowSampler,
+    estimator_of,
+)
 from fiplib.recorder import ROLES
 from fiplib.simulate import Scenario, Tape
+from fiplib.windows import RawSampler, RawWindow
 
 
 class TimedWindow(NamedTuple):
     """A window of the estimator and the time in ns at which it was complete."""
 
     stamp: int
-    window: Window
+    window: Window | RawWindow
 
 
 def flight_of(tape: Tape, scenario: Scenario) -> Flight:
@@ -117,15 +129,15 @@ def commands(flight: Flight, params: Params | None = None, follow: Reference | N
         BagError: the bag does not say which reference was followed, and none is given.
     """
     pilot = Pilot(params or flight.params, follow or reference(flight))
-    estimates = [] if flight.length is None else list(zip(flight.length.stamp, flight.length.values[:, 1], strict=True))
-    estimates.reverse()
+    length = flight.length
+    estimates = [] if length is None else list(zip(length.stamp, length.values[:, 1:].tolist(), strict=True))[::-1]
     given = []
     for now, measurement in measurements(flight):
         command = pilot.step(now, measurement)
         if command is not None:
             given.append((command.stamp, *command.body_rate, command.thrust))
         while estimates and estimates[-1][0] <= now:
-            pilot.receive_estimate(float(estimates.pop()[1]))
+            pilot.receive_estimate(*estimates.pop()[1])
     return Series(
         np.array([row[0] for row in given], dtype=np.int64),
         np.array([row[1:] for row in given]).reshape(-1, 4),
@@ -144,15 +156,63 @@ def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
     Raises:
         BagError: the bag cannot be refitted; the message says why.
     """
-    if reason := flight.why_not_refit():
+    params = params or flight.params
+    raw = estimator_of(params).kind == "raw"
+    # how long a flight must be is another matter with raw windows, which grow
+    if (reason := flight.why_not_refit()) and not (raw and flight.command is not None):
         raise BagError(f"{flight.path}: {reason}")
     assert flight.command is not None  # else there was a reason
+    if raw:
+        return _raw_windows_due(flight, flight.command, params)
     known = states(flight)
     latest = np.searchsorted(known.stamp, flight.command.stamp, side="right") - 1
-    sampler, found = WindowSampler(params or flight.params), []
+    sampler, found = WindowSampler(params), []
     for index in np.nonzero(latest >= 0)[0]:
         sampler.push(known.values[latest[index]], flight.command.values[index, :2])
         now = int(flight.command.stamp[index])
         if window := sampler.due(now):
             found.append(TimedWindow(now, window))
+    return found
+
+
+def _raw_windows_due(flight: Flight, command: Series, params: Params) -> list[TimedWindow]:
+    schedule, found, given = RawSchedule(params), [], 0
+    for now, measurement in measurements(flight):
+        schedule.push_frame(measurement)
+        if given < len(command.stamp) and command.stamp[given] == now:
+            schedule.push_command(now, command.values[given, :3], float(command.values[given, 3]))
+            given += 1
+        if window := schedule.due(now):
+            found.append(TimedWindow(now, window))
+    return found
+
+
+def raw_windows(flight: Flight, seconds: float, every: float) -> list[tuple[int, RawWindow]]:
+    """Windows of raw motion capture of a flight, for the estimators that take them.
+
+    Args:
+        flight: the recorded flight.
+        seconds: span of a window.
+        every: s from one window to the next; windows overlap when it is shorter than ``seconds``.
+
+    Returns:
+        The time in ns at which each was complete, and the window.
+
+    Raises:
+        BagError: the bag cannot be refitted; the message says why.
+    """
+    if reason := flight.why_not_refit():
+        raise BagError(f"{flight.path}: {reason}")
+    assert flight.command is not None  # else there was a reason
+    stamps, values = flight.command.stamp, flight.command.values
+    sampler, found, given = RawSampler(seconds), [], 0
+    for now, measurement in measurements(flight):
+        attitude = euler_angles(measurement.vehicle_attitude)
+        sampler.push_frame(measurement.stamp, measurement.vehicle_position, measurement.pendulum_position, attitude)
+        while given < len(stamps) and stamps[given] <= now:
+            sampler.push_command(int(stamps[given]), values[given, :3], float(values[given, 3]))
+            given += 1
+        # half a millisecond of slack, so that a period of whole frames is not missed by rounding
+        if (not found or now - found[-1][0] > every * NANO - 500_000) and (window := sampler.window()):
+            found.append((now, window))
     return found

@@ -16,12 +16,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib import __version__, ga
+from fiplib import __version__
 from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
 from fiplib.kalman import Window
+from fiplib.likelihood import Estimate
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, STATE_NAMES, Params
-from fiplib.pilot import NANO, Circle, Command, Hover, Measurement, Pilot, Reference
+from fiplib.pilot import NANO, Circle, Command, Hover, Measurement, Pilot, Reference, estimator_of
+from fiplib.windows import RawWindow
 
 EPOCH = 1_767_225_600 * NANO
 """Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
@@ -272,7 +274,7 @@ def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None
     latency = round(params.simulation.mocap_latency * NANO)
     told = deque(scenario.told_lengths)
     pushes = deque(scenario.pushes)
-    status = Status.OPTIMAL
+    status, refused = Status.OPTIMAL, None
 
     recorder.truth_length(EPOCH, params.pendulum.length)
     recorder.length(EPOCH, pilot.length, math.nan, math.nan)
@@ -290,7 +292,12 @@ def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None
             _record_command(recorder, command, status)
             status = command.status
         if estimate := estimator.deliver(now, pilot.window_due()):
-            recorder.length(now, pilot.receive_estimate(estimate.length), estimate.length, estimate.standard_deviation)
+            if estimate.reason is None:
+                used = pilot.receive_estimate(estimate.length, estimate.standard_deviation)
+                recorder.length(now, used, estimate.length, estimate.standard_deviation)
+            elif estimate.reason != refused:
+                recorder.event(now, "warn", f"no estimate: {estimate.reason}")
+            refused = estimate.reason
         if told and seconds >= told[0][0]:
             length = told.popleft()[1]
             recorder.event(now, "warn", f"pilot is told the length {length:g} m")
@@ -321,13 +328,14 @@ def _record_command(recorder: Recorder, command: Command, before: Status) -> Non
 
 
 class _Estimator:
-    """The GA beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
+    """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
 
     def __init__(self, params: Params, seed: int) -> None:
         self._params, self._seed, self._runs = params, seed, 0
-        self._ready: tuple[int, ga.Estimate] | None = None
+        self._estimate = estimator_of(params).function
+        self._ready: tuple[int, Estimate] | None = None
 
-    def deliver(self, now: int, window: Window | None) -> ga.Estimate | None:
+    def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         answer = None
         if self._ready and now >= self._ready[0]:
             answer, self._ready = self._ready[1], None
@@ -336,7 +344,7 @@ class _Estimator:
             rng = np.random.default_rng([self._seed, self._runs])
             self._runs += 1
             due = now + round(self._params.simulation.estimation_latency * NANO)
-            self._ready = (due, ga.estimate(window, self._params, rng))
+            self._ready = (due, self._estimate(window, self._params, rng))
         return answer
 
 

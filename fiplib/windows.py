@@ -1,5 +1,6 @@
 """What an estimator is given beyond the paper's sampled states: frames as measured, commands as sent."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -56,14 +57,19 @@ class RawSampler:
         while len(self._commands) > 1 and self._commands[1][0] < first - LEAD * NANO:
             self._commands.popleft()
 
-    def window(self) -> RawWindow | None:
-        """The window, once frames of the whole span and a command before them (by ``LEAD``) have been seen."""
+    def window(self, least: float = math.inf) -> RawWindow | None:
+        """The window, once frames of the whole span and a command before them (by ``LEAD``) have been seen.
+
+        Args:
+            least: while the span fills, a window of that many seconds will do.
+        """
         if not self._commands or len(self._frames) < 2:
             return None
         zero, last = self._frames[0][0], self._frames[-1][0]
         # the span is full when one more frame would drop the first
         step = (last - zero) / (len(self._frames) - 1)
-        if last - zero + 1.5 * step < self._span or self._commands[0][0] > zero - LEAD * NANO + 2 * step:
+        needed = min(self._span, least * NANO)
+        if last - zero + 1.5 * step < needed or self._commands[0][0] > zero - LEAD * NANO + 2 * step:
             return None
         values = np.array([row for _, row in self._frames])
         return RawWindow(

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.params import A_DOT, GRAVITY, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
 from fiplib.pilot import NANO, Circle, Hover, Measurement, Observer, Pilot
+from fiplib.windows import LEAD
 
 PARAMS = Params()
 FRAME = NANO // 240
@@ -163,3 +164,49 @@ def test_outliers_absurd_and_non_finite_estimates_do_not_reach_the_controller():
     bounded = Pilot(PARAMS.replace(estimation__median_length=1), Hover())
     assert bounded.receive_estimate(50.0) == PARAMS.estimation.length_max
     assert bounded.receive_estimate(-1.0) == PARAMS.estimation.length_min
+
+
+RAW = PARAMS.replace(estimation__estimator="maximum_likelihood")
+
+
+def test_an_estimator_of_raw_data_is_given_full_windows_at_control_ticks():
+    found = flown(RAW, 4.0)
+    times = np.array([time for time, _ in found])
+    # the first command is given at 0, so frames count from 0.1 s on, and 2.5 s later the window is full
+    assert times[0] == pytest.approx(LEAD + RAW.estimation.raw_window, abs=2 / 240)
+    np.testing.assert_allclose(np.diff(times), RAW.estimation.run_period, atol=1e-9)
+    np.testing.assert_allclose(times * 120, np.round(times * 120), atol=1e-9)
+    for _, window in found:
+        assert len(window.time) == pytest.approx(2.5 * 240, abs=2)
+        assert window.command_time[0] <= -LEAD + 2 / 240 and window.command_time[-1] <= window.time[-1] + 1 / 240
+
+
+def test_with_the_trusted_hand_over_raw_windows_come_early_and_grow():
+    found = flown(RAW.replace(piloting__handover="trusted"), 4.0)
+    times = np.array([time for time, _ in found])
+    spans = np.array([window.time[-1] for _, window in found])
+    assert times[0] == pytest.approx(LEAD + RAW.estimation.first_raw_window, abs=2 / 240)
+    np.testing.assert_allclose(np.diff(times), RAW.estimation.run_period, atol=1e-9)
+    np.testing.assert_allclose(spans, np.minimum(times - LEAD, 2.5), atol=2 / 240)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"piloting__handover": "hope"}, "piloting.handover must be one of printed, trusted, not 'hope'"),
+        ({"estimation__estimator": "guess"}, "estimation.estimator must be one of ga, .*not 'guess'"),
+    ],
+)
+def test_an_unknown_policy_or_estimator_is_refused_with_those_there_are(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Pilot(PARAMS.replace(**changes), Hover())
+
+
+def test_the_trusted_hand_over_starts_short_and_takes_the_deviation_into_account():
+    trusted = PARAMS.replace(piloting__handover="trusted", piloting__initial_length=1.4)
+    sure, unsure = Pilot(trusted, Hover()), Pilot(trusted, Hover())
+    assert sure.length == trusted.piloting.rod_lengths[0]
+    for _ in range(5):
+        assert sure.receive_estimate(1.3, 0.01) == sure.length
+        unsure.receive_estimate(1.3, 0.4)
+    assert unsure.length < 0.9 * sure.length < 1.3
