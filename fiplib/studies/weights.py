@@ -1,0 +1,169 @@
+"""The search for one set of weights under which every row of the ledger that weights decide is met at once.
+
+The criterion, stated before the search. A candidate passes if
+
+1. *linear*: with delay, lag and observer (``margins``) the loop is stable at every l0 flown, 0.8, 1.0, 1.2 and 1.4 m,
+   for a rod of 1 m, point mass and uniform, and bears a further delay of ``DELAY``. Who fails is not flown;
+2. *starts*: on the 0.4 m circle it stays up from l0 = 0.8, 1.2 and 1.4 m for ``START_SECONDS``, until the estimator's
+   first window is full;
+3. *ledger*: in shortened flights of ``push-hover`` and ``circle-0.8`` the rows ``NEEDED`` hold, by ``claims``' own
+   rules. ``ALSO`` is judged and shown, but not asked for: see below.
+
+Candidate 0 is the default of ``params``, 1 the other set that the prototypes found, 2 (added after a first search had
+found no y as the paper's) the default with a tenth of the weights on y and y'. The rest is drawn: log-uniform in
+``RANGES``, equal for both axes, rounded to three digits. Only ratios matter, so the tilts weigh 1 throughout; P = 10 Q.
+Every candidate, the default included, is judged by the same rules on the same seed.
+
+``ALSO`` asks that x lags behind its reference, and that y strays by 0.2 m while x falls short by little. No candidate
+with equal axes gives either together with C2.gain. The MPC sees its reference in advance, so that x lags only where it
+is so slack that it falls short by more than a third; and the two axes are then one and the same system, so that y
+strays by 0.2 m only where x falls short by about a quarter. Lighter weights on y alone give all but the lag: what the
+paper saw in y is what such weights do, and more weight mends it, as the paper says (C3; ``ledger_seeds``, "y heavy").
+That is why the default has them; candidate 2 is the same with equal axes, the default until this search was done.
+
+160 rows, about 9 minutes of one core.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from fiplib import claims, margins, replay
+from fiplib.claims import Verdict
+from fiplib.mpc import MPC
+from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
+from fiplib.pilot import Circle
+from fiplib.simulate import SCENARIOS, Scenario, Tape, fly
+from fiplib.studies.survival import RODS
+
+KEYS = ("candidate",)
+
+STARTS = (0.8, 1.0, 1.2, 1.4)
+"""Every length l0, in m, with which a flight of the ledger starts on a rod of 1 m."""
+
+DELAY = 1.0 / 240.0
+"""Further delay in s that a loop must bear: a lost frame of motion capture. It also covers the 16 ms that were measured
+at most for the inner loop, where 12.5 ms are simulated."""
+
+START_SECONDS = 6.0
+
+RANGES = {
+    "position": (1.0, 100.0),
+    "velocity": (0.1, 100.0),
+    "offset": (10.0, 10_000.0),
+    "offset_rate": (1.0, 1_000.0),
+    "rate": (0.05, 5.0),
+}
+"""Weights of s, s', d, d' (Q) and of the body rate (R) are drawn between these."""
+
+COLUMNS = (*RANGES, "y_share")
+"""``y_share`` is the weight of y and y' over that of x and x'."""
+
+CANDIDATES, SEED = 160, 1
+
+NEEDED = ("D1", "D2", "D3", "C1", "C2.gain")
+ALSO = ("C2.delay", "C2.y")
+
+PUSHES = tuple(
+    push._replace(start=start) for start, push in zip((2.0, 7.0, 12.0), SCENARIOS["push-hover"].pushes, strict=True)
+)
+"""The recorded impulses, closer together."""
+
+FLIGHTS = {"push-hover": {"duration": 17.0, "pushes": PUSHES}, "circle-0.8": {"duration": 14.5}}
+"""What is changed in the recorded flights: the circle has one whole lap at full speed."""
+
+
+def cases() -> list[dict]:
+    """All candidates, with their weights."""
+    control = Params().control
+    default = (*(control.state_weights[state] for state in (X, X_DOT, A, A_DOT)), control.input_weights[0])
+    known = [
+        (*default, control.state_weights[Y] / control.state_weights[X]),
+        (10.0, 1.0, 500.0, 20.0, 0.1, 1.0),
+        (*default, 1.0),
+    ]
+    low, high = np.log(list(RANGES.values())).T
+    drawn = np.exp(np.random.default_rng(SEED).uniform(low, high, size=(CANDIDATES - len(known), len(RANGES))))
+    candidates = [*known, *((*(float(f"{weight:.3g}") for weight in row), 1.0) for row in drawn)]
+    return [
+        {"candidate": number, **dict(zip(COLUMNS, weights, strict=True))} for number, weights in enumerate(candidates)
+    ]
+
+
+def run(case: dict) -> dict[str, float | int | str]:
+    """The score of one candidate.
+
+    Returns:
+        its weights; growth_rate (1/s), delay_margin (s) and disk_margin, each the worst over ``STARTS`` and ``RODS``;
+        linear; starts (of 3 flights, those that stay up) and start_lean (|a| or |b| at most, m); for each row of the
+        ledger its value and whether it holds, ``holds_ID``; passes. Flags are 0 or 1; NaN stands for not flown.
+    """
+    weights = {name: case[name] for name in COLUMNS}
+    params = _weighted(**weights)
+    mpc = MPC(params)
+    loops = [
+        margins.closed_loop(used, params.replace(pendulum__gyration_ratio=ratio), mpc, axis)
+        for used in STARTS
+        for ratio in RODS.values()
+        for axis in ((0,) if case["y_share"] == 1.0 else (0, 1))
+    ]
+    growth = max(loop.growth_rate for loop in loops)
+    worst = [loop.margins for loop in loops] if growth < 0.0 else [margins.UNSTABLE]
+    delay = min(margin.delay for margin in worst)
+    linear = growth < 0.0 and delay >= DELAY
+
+    row: dict[str, Any] = {
+        **weights,
+        "growth_rate": growth,
+        "delay_margin": delay,
+        "disk_margin": min(margin.disk for margin in worst),
+        "linear": int(linear),
+        "starts": math.nan,
+        "start_lean": math.nan,
+        **{column: math.nan for id in (*NEEDED, *ALSO) for column in (id, f"holds_{id}")},
+    }
+    if linear:
+        row |= _starts(params)
+        for name, changes in FLIGHTS.items():
+            row |= _ledger(dataclasses.replace(SCENARIOS[name], params=params, seed=SEED, **changes))
+    kept = linear and row["starts"] == len(STARTS) - 1 and all(row[f"holds_{id}"] == 1 for id in NEEDED)
+    return {**row, "passes": int(kept)}
+
+
+def _weighted(
+    position: float, velocity: float, offset: float, offset_rate: float, rate: float, y_share: float
+) -> Params:
+    y, pendulum = (y_share * position, y_share * velocity), (offset, offset_rate)
+    return Params().replace(
+        control__state_weights=(position, velocity, *y, *pendulum, *pendulum, 1.0, 1.0),
+        control__input_weights=(rate, rate),
+    )
+
+
+def _starts(params: Params) -> dict[str, float]:
+    """Flights with a wrong length that nobody mends."""
+    up, leans = 0, []
+    for start in STARTS:
+        if start != params.pendulum.length:
+            tape = Tape()
+            flown = params.replace(piloting__initial_length=start)
+            scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
+            up += fly(scenario, tape).survived
+            leans.append(float(claims.lean(replay.flight_of(tape, scenario)).max()))
+    return {"starts": up, "start_lean": max(leans)}
+
+
+def _ledger(scenario: Scenario) -> dict[str, float]:
+    """The rows of the ledger that are read from this flight; none holds if it falls."""
+    tape = Tape()
+    survived = fly(scenario, tape).survived
+    flight = replay.flight_of(tape, scenario)
+    row = {}
+    for id in (*NEEDED, *ALSO):
+        claim = claims.BY_ID[id]
+        if claim.bags == (scenario.name,):
+            found = claim.judge(claim.paper, flight) if survived else claims.Finding(math.nan, Verdict.NOT, "fell")
+            row |= {id: float(found.value), f"holds_{id}": int(found.verdict in (Verdict.REPRODUCED, Verdict.STATED))}
+    return row
