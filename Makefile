@@ -17,15 +17,28 @@ reads_fig3-pushes := push-hover
 reads_fig4-circle := circle-0.8
 reads_fig5-estimation := estimate-1.4
 reads_fig6-convergence := estimate-0.8 estimate-1.2 estimate-1.4
+reads_fig7-survival :=
+reads_fig8-landscapes :=
+reads_fig9-estimators :=
+reads_fig10-intervals := estimate-1.4
 reads_table1-parameters :=
 reads_table2-software :=
 reads_table3-convergence := estimate-0.8 estimate-1.2 estimate-1.4
+reads_table4-estimators :=
 
-FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence
-TABLES := table1-parameters table2-software table3-convergence
+# The tables of studies (`make sweep`) that some of them read, from data/sweeps/.
+studies_fig7-survival := survival
+studies_fig8-landscapes := landscape_curves
+studies_fig9-estimators := estimators
+studies_table4-estimators := estimators
+studies_claims := ledger_seeds length_jumps
+
+FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals
+TABLES := table1-parameters table2-software table3-convergence table4-estimators
 SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
 
 bag_files = $(foreach name,$(1),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
+table_files = $(foreach name,$(1),data/sweeps/$(name).csv)
 FIGURE_FILES := $(foreach name,$(FIGURES),figures/$(name).pdf figures/$(name).png)
 TABLE_FILES := $(foreach name,$(TABLES),figures/$(name).csv figures/$(name).tex)
 CLAIMS := figures/claims.csv figures/claims.txt paper/generated/numbers.tex paper/generated/claims-table.tex
@@ -117,14 +130,17 @@ figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
 	@mkdir -p figures
 	$(PY) -m fiplib.figures table$*
 
-$(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv
-$(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name)))))
-$(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name)))))
+$(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv $(call table_files,$(studies_claims))
+$(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
+$(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
 
 # --- bags. They are data: nothing records one but `make bags`, or a `fly-` target by name.
 .PHONY: $(FLIGHTS)
 $(FLIGHTS): fly-%: .venv/installed
 	$(PY) scripts/fly.py --scenario $* --output data/$* --force
+
+data/sweeps/%.csv:
+	@echo "$@ is missing. It comes with the repository; make sweep STUDIES=$* computes it again." >&2; exit 1
 
 data/%:
 	@echo "$@ is missing. Bags come with the repository; 'make bags' flies and records them again." >&2; exit 1

@@ -19,38 +19,11 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fiplib import bags, claims, tables
+from fiplib import bags, claims, findings, journal, tables
 from fiplib.bags import BagError, Flight
 from fiplib.params import STATES, Params
+from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, STYLE, origin
 from fiplib.tables import Table
-
-COLUMN = 3.4
-"""Width of a journal column, inches."""
-
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
-"""The colours of Okabe and Ito, told apart by colour-blind readers as well."""
-
-STYLE = {
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "legend.framealpha": 1.0,
-    "legend.edgecolor": "white",
-    "legend.borderpad": 0.1,
-    "legend.handlelength": 1.4,
-    "legend.columnspacing": 1.0,
-    "legend.borderaxespad": 0.2,
-    "lines.linewidth": 0.9,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.xmargin": 0.0,
-    "pdf.fonttype": 42,
-    "savefig.dpi": 300,
-}
 
 
 def fig1_flight(flight: Flight) -> Figure:
@@ -155,7 +128,7 @@ def fig5_estimation(flight: Flight) -> Figure:
     )  # fmt: skip
     axes.plot(time, estimate, ".", ms=2, color=BLUE, label="GA run")
     axes.step(time, used, where="post", color=ORANGE, label="used")
-    axes.axhline(_true_length(flight), color="black", lw=0.6, label="true")
+    axes.axhline(claims.true_length(flight), color="black", lw=0.6, label="true")
     axes.axvline(claims.PAPER["G3.time"], color=GREY, ls="--", lw=0.7, label="paper converged")
     axes.set(ylabel="length (m)", ylim=(0.75, 1.75))
     axes.legend(loc="upper right", ncols=2)
@@ -175,17 +148,18 @@ def fig6_convergence(*flights: Flight) -> Figure:
         axes.plot(claims.PAPER[f"{claim}.time"], claims.PAPER[f"{claim}.length"], "X", color=colour, mec="black",
                   mew=0.4, ms=5.5, zorder=3)  # fmt: skip
     axes.plot([], [], "X", color="white", mec="black", mew=0.6, ms=5.5, label="paper, same colour")
-    axes.axhline(_true_length(flights[0]), color="black", lw=0.6)
+    axes.axhline(claims.true_length(flights[0]), color="black", lw=0.6)
     axes.set(ylabel="length used, $l$ (m)", xlabel="time (s)")
     axes.legend(ncols=2, loc="upper right")
     return figure
 
 
 class Product(NamedTuple):
-    """What makes a figure or table, and the bags whose flights it is given, in that order."""
+    """What makes a figure or table: it is given the flights of ``bags``, then the tables of ``studies``, in order."""
 
     make: Callable[..., Figure | Table]
     bags: tuple[str, ...] = ()
+    studies: tuple[str, ...] = ()
 
 
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
@@ -197,9 +171,14 @@ FIGURES = {
     "fig4-circle": Product(fig4_circle, ("circle-0.8",)),
     "fig5-estimation": Product(fig5_estimation, ("estimate-1.4",)),
     "fig6-convergence": Product(fig6_convergence, _ESTIMATES),
+    "fig7-survival": Product(findings.fig7_survival, studies=("survival",)),
+    "fig8-landscapes": Product(findings.fig8_landscapes, studies=("landscape_curves",)),
+    "fig9-estimators": Product(findings.fig9_estimators, studies=("estimators",)),
+    "fig10-intervals": Product(findings.fig10_intervals, ("estimate-1.4",)),
     "table1-parameters": Product(tables.table1_parameters),
     "table2-software": Product(tables.table2_software),
     "table3-convergence": Product(tables.table3_convergence, _ESTIMATES),
+    "table4-estimators": Product(findings.table4_estimators, studies=("estimators",)),
 }
 """Every figure and table by name."""
 
@@ -207,8 +186,13 @@ FIGURES = {
 def make(name: str, data: Path = Path("data")) -> Figure | Table:
     """Make one figure or table from the bags in ``data``. Raises KeyError (no such name) and BagError."""
     product = FIGURES[name]
+    sources = [bags.read(data / bag) for bag in product.bags]
+    for study in product.studies:
+        if not (rows := journal.read(study, data)):
+            raise FileNotFoundError(f"{data}/sweeps/{study}.csv is missing: make sweep STUDIES={study}")
+        sources.append(rows)
     with mpl.rc_context(STYLE):
-        return product.make(*(bags.read(data / bag) for bag in product.bags))
+        return product.make(*sources)
 
 
 def write(name: str, made: Figure | Table, folder: Path) -> list[Path]:
@@ -243,10 +227,8 @@ def _panels(flight: Flight, count: int, height: float) -> tuple[Figure, Sequence
 
 
 def _origin(figure: Figure, *flights: Flight, y: float | None = None) -> None:
-    """Say in the figure itself what its data are."""
     origins = " and ".join(sorted({flight.metadata["origin"] for flight in flights}))
-    names = ", ".join(flight.path.name for flight in flights)
-    figure.suptitle(f"{origins}, {names}", fontsize=7, color=GREY, x=0.99, ha="right", y=y)
+    origin(figure, f"{origins}, {', '.join(flight.path.name for flight in flights)}", y)
 
 
 def _plot_states(
@@ -274,7 +256,8 @@ def _plot_errors(axes: Axes, flight: Flight) -> None:
         error = flight.state.column(name) - flight.reference.column(name)
         axes.plot(flight.time(flight.state), 100 * error, color=colour, label=f"${name} - {name}_\\mathrm{{ref}}$")
     axes.set_ylabel("error (cm)")
-    axes.margins(y=0.25)
+    largest = 100 * np.abs(claims.tracking_error(flight)).max()
+    axes.set_ylim(-1.25 * largest, 2.1 * largest)
     axes.legend(loc="upper right", ncols=2)
 
 
@@ -303,12 +286,6 @@ def _lengths(flight: Flight) -> tuple[NDArray, NDArray]:
     if flight.length is None:
         raise BagError(f"{flight.path}: no topic {bags.TOPICS['length']}: this figure needs a flight with an estimator")
     return flight.time(flight.length), flight.length.values.T
-
-
-def _true_length(flight: Flight) -> float:
-    """True length in m: recorded by the simulator, else the one in the bag's parameters."""
-    truth = flight.truth_length
-    return float(truth.values[0, 0]) if truth is not None else flight.params.pendulum.length
 
 
 def _draw_vehicle(axes: Axes, params: Params) -> None:
@@ -340,7 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.list:
         for name, product in FIGURES.items():
-            print(f"{name:20} {' '.join(product.bags) or '(parameters only)'}")
+            print(f"{name:20} {' '.join(product.bags + product.studies) or '(parameters only)'}")
         return 0
     if unknown := [name for name in options.names if name not in FIGURES]:
         print(f"no figure {unknown[0]!r}; there are {', '.join(FIGURES)}", file=sys.stderr)

@@ -11,6 +11,25 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+Rows = list[dict[str, float | str]]
+"""A finished table: one dictionary per case, numbers as float."""
+
+
+def read(study: str, data: Path = Path("data")) -> Rows:
+    """The finished table of a study; empty where ``make sweep`` has not completed it yet."""
+    path = data / "sweeps" / f"{study}.csv"
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{column: _number(value) for column, value in row.items()} for row in csv.DictReader(file)]
+
+
+def _number(value: str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
 
 class JournalError(Exception):
     """A table on disk that does not belong to the study, in one line for its user."""

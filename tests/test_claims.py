@@ -230,11 +230,32 @@ def test_an_error_of_y_far_below_the_papers_is_not_a_reproduction():
     assert claims.circle_y(0.2, circling({Y: y - 0.19})).verdict is Verdict.STATED
 
 
-def test_whether_other_weights_would_mend_y_stays_open_and_the_ratio_is_shown():
-    path = Circle(radius=0.8, period=9.0).at(moments(26))
-    found = claims.circle_axes(None, circling({X: path[:, X] + 0.02, Y: path[:, Y] + 0.05}))
-    assert found.value == pytest.approx(2.5)
-    assert found.verdict is Verdict.OPEN
+def seeds_of(variant: str, errors: list[float]) -> list[dict]:
+    return [{"variant": variant, "scenario": "circle-0.8", "seed": i, "y_error": e} for i, e in enumerate(errors)]
+
+
+def test_other_weights_mend_y_when_its_error_falls_by_more_than_the_criterion_allows():
+    light = seeds_of("default", [0.18, 0.22])
+    found = claims.heavier_y(None, light + seeds_of("y heavy", [0.06, 0.04]))
+    assert found.value == pytest.approx(0.25) and found.verdict is Verdict.STATED
+    assert claims.heavier_y(None, light + seeds_of("y heavy", [0.17, 0.19])).verdict is Verdict.NOT
+    assert claims.heavier_y(None, light).verdict is Verdict.OPEN
+
+
+def jump(length: float, change: str, lasting: str, survived: int) -> dict:
+    return {"length": length, "rod": "uniform", "change": change, "lasting": lasting, "survived": float(survived)}
+
+
+@pytest.mark.parametrize(("saved", "verdict"), [(1, Verdict.STATED), (0, Verdict.NOT)])
+def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict):
+    rows = [
+        jump(0.2, "at once", "2 s", 0), jump(0.2, "in steps", "2 s", saved),
+        jump(1.4, "at once", "2 s", 2), jump(1.4, "in steps", "2 s", 2),
+        jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
+    ]  # fmt: skip
+    found = claims.small_steps(None, rows)
+    assert found.value == saved and found.verdict is verdict and found.facts["lasting"] == 0
+    assert claims.small_steps(None, []).verdict is Verdict.OPEN
 
 
 def estimating(lengths: list[tuple[float, float]], **more) -> Flight:

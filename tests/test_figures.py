@@ -28,9 +28,9 @@ DRAWN = [name for name in figures.FIGURES if name.startswith("fig")]
 TABLES = [name for name in figures.FIGURES if name.startswith("table")]
 
 
-def test_every_figure_and_table_of_the_paper_is_there():
-    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 7)]
-    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 4)]
+def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
+    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 11)]
+    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 5)]
 
 
 @pytest.mark.parametrize("name", figures.FIGURES)
@@ -73,6 +73,16 @@ def test_a_figure_made_from_flights_says_that_they_are_simulated_and_which(name,
     assert "simulated" in words
     for bag in figures.FIGURES[name].bags:
         assert bag in words
+
+
+@pytest.mark.parametrize("name", [name for name in DRAWN if figures.FIGURES[name].studies])
+def test_a_figure_made_from_a_study_says_that_it_is_simulated(name, made):
+    assert "simulated" in " ".join(text.get_text() for text in made[name].findobj(Text))
+
+
+def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path, capsys):
+    assert figures.main(["fig7-survival", "--data", str(tmp_path), "--output", str(tmp_path)]) == 2
+    assert "survival.csv is missing: make sweep STUDIES=survival" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [name for name in DRAWN if figures.FIGURES[name].bags])

@@ -116,6 +116,17 @@ def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
 
     listed = {name: set(words(f"reads_{name} :=")) for name in figure_names()}
     assert listed == {name: set(figure.bags) for name, figure in FIGURES.items()}
+    studies = {name: figure.studies for name, figure in FIGURES.items() if figure.studies}
+    assert {name: tuple(words(f"studies_{name} :=")) for name in studies} == studies
+
+
+def test_make_knows_which_bags_and_studies_the_ledger_is_judged_on():
+    from fiplib.claims import CLAIMS
+
+    sources = {source for claim in CLAIMS for source in claim.bags if not source.endswith(".csv")}
+    studies = {source.removeprefix("sweeps/") for source in sources if source.startswith("sweeps/")}
+    assert studies == set(words("studies_claims :="))
+    assert {source for source in sources if not source.startswith("sweeps/")} <= set(words("SCENARIOS :="))
 
 
 def test_make_bags_records_known_scenarios_and_every_bag_that_a_figure_reads():
@@ -170,5 +181,5 @@ def test_the_readme_shows_both_commands_and_names_only_what_exists():
     # Links and paths in code style lead to files of the repository; what make writes is named by its target instead.
     paths = re.findall(r"\]\(([^)#:]+)\)", readme) + re.findall(r"`((?:fiplib|scripts|data|tests)/[\w./-]*)", readme)
     assert [path for path in paths if not (ROOT / path).exists()] == []
-    made = set(re.findall(r"`((?:fig|table)\d-\w+)`", readme))
+    made = set(re.findall(r"`((?:fig|table)\d+-\w+)`", readme))
     assert made == set(figure_names())

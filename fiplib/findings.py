@@ -1,0 +1,175 @@
+"""Figures beyond the paper: what the studies of ``make sweep`` found, from their tables in ``data/sweeps``.
+
+As in ``figures``: tables and flights in, ``Figure`` out. Nothing is simulated here; what was simulated is said.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fiplib import claims, replay
+from fiplib.bags import Flight
+from fiplib.estimators import ESTIMATORS
+from fiplib.journal import Rows
+from fiplib.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
+from fiplib.tables import Table
+
+LABELS = {
+    "maximum_likelihood": "maximum likelihood, raw",
+    "maximum_likelihood_free": "the same, inertia and lag unknown",
+    "ga": "GA, printed settings",
+    "ga_improved": "GA, more exploration",
+    "grid": "exhaustive search",
+    "scalar": "scalar search (SciPy)",
+    "ekf": "EKF, joint state",
+    "ukf": "UKF, joint state",
+    "moving_horizon": "moving horizon",
+    "recursive_least_squares": "recursive least squares",
+    "concurrent_learning": "concurrent learning",
+}
+
+
+def fig7_survival(rows: Rows) -> Figure:
+    """Fig. 7: where the MPC survives a wrong length: growth rate of the linear loop beside simulated seconds flown."""
+    figure = Figure(figsize=(COLUMN, 3.9), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    used = sorted({row["used_length"] for row in rows})
+    true = sorted({row["true_length"] for row in rows})
+    meshes = {}
+    for line, rod in zip(panels, ("uniform", "point mass"), strict=True):
+        cells = {(row["true_length"], row["used_length"]): row for row in rows if row["rod"] == rod}
+        for axes, column in zip(line, ("growth_rate", "flown"), strict=True):
+            values = np.array([[cells[y, x][column] for x in used] for y in true])
+            colours = {"cmap": "RdBu_r", "vmin": -2, "vmax": 2} if column == "growth_rate" else {"cmap": "cividis"}
+            mesh = axes.pcolormesh(used, true, values, shading="nearest", rasterized=True, **colours)
+            axes.plot(true, true, color="white" if column == "flown" else "black", lw=0.8, ls="--")
+            if rod == "uniform":
+                axes.set_title("linear theory" if column == "growth_rate" else "simulated flights")
+            meshes[column] = mesh
+        line[0].set_ylabel(f"{rod}:\ntrue length (m)")
+    labels = {"growth_rate": "growth rate (1/s)", "flown": "flown, of 12 s (s)"}
+    for column, axes in zip(range(2), panels[1], strict=True):
+        name = list(labels)[column]
+        axes.set_xlabel("length used (m)")
+        figure.colorbar(meshes[name], ax=panels[:, column], location="bottom", label=labels[name], aspect=14)
+    origin(figure, "simulated, dashed: the lengths agree")
+    return figure
+
+
+def fig8_landscapes(curves: Rows) -> Figure:
+    """Fig. 8: what four readings of the fitness say about every length, on one and the same window."""
+    figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    shown = {
+        "printed_posterior": ("as printed", ORANGE, "-"),
+        "rk4_posterior": ("posterior residual", PURPLE, "--"),
+        "rk4_prior": ("prior residual", GREEN, "-."),
+        "rk4_likelihood": ("likelihood", BLUE, "-"),
+    }
+    titles = {"default": "calibrated covariances", "identity": "$Q_e = R_e = I$"}
+    for axes, (noise, title) in zip(panels, titles.items(), strict=True):
+        for reading, (label, colour, dashes) in shown.items():
+            points = sorted(
+                (row["length"], row["normalised"])
+                for row in curves
+                if row["reading"] == reading and row["noise"] == noise
+            )
+            axes.plot(*np.array(points).T, dashes, color=colour, label=label)
+            best = min(points, key=lambda point: point[1])
+            axes.plot(best[0], best[1], "o", color=colour, ms=4, mec="black", mew=0.4, clip_on=False, zorder=3)
+        axes.axvline(1.0, color="black", lw=0.6)
+        axes.set(title=title, xlabel="candidate length (m)", ylim=(0, 1.5), xlim=(0.2, 2.0))
+    panels[0].set_ylabel("fitness above its best (median = 1)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    origin(figure, "one simulated window, true length 1 m")
+    return figure
+
+
+def fig9_estimators(rows: Rows) -> Figure:
+    """Fig. 9: RMS error of every estimator over the Cramer-Rao bound of raw motion capture, on the 0.4 m circle."""
+    figure = Figure(figsize=(COLUMN, 3.0), layout="constrained")
+    axes = figure.subplots()
+    names = [name for name in LABELS if name in ESTIMATORS]
+    for ratio, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
+        chosen = [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == ratio]
+        pooled = [_pooled(chosen, name) for name in names]
+        axes.plot(
+            [found.rms / found.bound for found in pooled], range(len(names)), marker, color=colour, ms=4, label=label
+        )
+    axes.axvline(1.0, color="black", lw=0.6)
+    axes.axvline(1.2, color="black", lw=0.6, ls="--", label="target, 1.2")
+    axes.set(yticks=range(len(names)), yticklabels=[LABELS[name] for name in names])
+    axes.set(xscale="log", xlabel="RMSE / bound (1)")
+    axes.invert_yaxis()
+    axes.margins(x=0.08)
+    axes.legend(loc="upper right")
+    origin(figure, "simulated flights, 0.4 m circle")
+    return figure
+
+
+def fig10_intervals(flight: Flight) -> Figure:
+    """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
+    figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
+    axes = figure.subplots()
+    estimator = ESTIMATORS["maximum_likelihood"]
+    times, lengths, deviations = _estimates(flight, estimator)
+    recorded = flight.length.values[1:, 1]
+    axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
+    axes.errorbar(
+        times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="maximum likelihood, 95 %"
+    )
+    axes.axhline(claims.true_length(flight), color="black", lw=0.6, label="true")
+    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.88, 1.12))
+    axes.legend(loc="upper right", ncols=2)
+    origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")
+    return figure
+
+
+def _estimates(flight: Flight, estimator) -> tuple[NDArray, NDArray, NDArray]:
+    """Times (s), lengths and standard deviations (m) of an estimator on windows of a flight, one each half second."""
+    found = []
+    for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
+        estimate = estimator.function(window, flight.params, np.random.default_rng(0))
+        if estimate.reason is None:
+            found.append(((stamp - flight.start_ns) / 1e9, estimate.length, estimate.standard_deviation))
+    return tuple(np.array(found).T)
+
+
+def table4_estimators(rows: Rows) -> Table:
+    """Table 4: every estimator on the 0.4 m circle with a uniform rod, pooled over the windows of all flights."""
+    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
+    lines = []
+    for name, label in LABELS.items():
+        found = _pooled(chosen, name)
+        covered = "--" if math.isnan(found.covered) else f"{100 * found.covered:.1f}"
+        lines.append((
+            label, f"{found.windows}", f"{1e3 * found.bias:.2f}", f"{1e3 * found.rms:.2f}",
+            f"{found.rms / found.bound:.2f}", covered,
+        ))  # fmt: skip
+    header = ("Estimator", "Windows", "Bias (mm)", "RMSE (mm)", "RMSE / bound", r"In 95\,\% interval (\%)")
+    return Table(header, lines, "lrrrrr")
+
+
+class Pooled(NamedTuple):
+    """An estimator over many windows: how many were answered, mean and RMS error and RMS bound in m, and the share of
+    95 % intervals that cover the truth (nan where none is stated)."""
+
+    windows: int
+    bias: float
+    rms: float
+    bound: float
+    covered: float
+
+
+def _pooled(rows: Rows, name: str) -> Pooled:
+    answered = [row for row in rows if row[f"n_{name}"] > 0]
+    if not answered:
+        return Pooled(0, math.nan, math.nan, math.nan, math.nan)
+    columns = ("n", "bias", "rms", "bound", "covered")
+    n, bias, rms, bound, covered = np.array([[row[f"{column}_{name}"] for column in columns] for row in answered]).T
+    total = n.sum()
+    squares = (float(np.sqrt(n @ values**2 / total)) for values in (rms, bound))
+    return Pooled(int(total), float(n @ bias / total), *squares, float(covered.sum() / total))

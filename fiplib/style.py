@@ -1,0 +1,36 @@
+"""How every figure looks: one column, 8 pt, colours that colour-blind readers tell apart, the origin of the data."""
+
+from matplotlib.figure import Figure
+
+COLUMN = 3.4
+"""Width of a journal column, inches."""
+
+BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
+"""The colours of Okabe and Ito."""
+
+STYLE = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.framealpha": 1.0,
+    "legend.edgecolor": "white",
+    "legend.borderpad": 0.1,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 1.0,
+    "legend.borderaxespad": 0.2,
+    "lines.linewidth": 0.9,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.xmargin": 0.0,
+    "pdf.fonttype": 42,
+    "savefig.dpi": 300,
+}
+
+
+def origin(figure: Figure, words: str, y: float | None = None) -> None:
+    """Say in the figure itself what its data are."""
+    figure.suptitle(words, fontsize=7, color=GREY, x=0.99, ha="right", y=y)
