@@ -149,7 +149,7 @@ SHA256 = $(shell command -v sha256sum || echo shasum -a 256)
 
 # --- paper. A fixed date makes the PDF depend on its sources alone. latexmk decides by content, make by time: the touch
 # reconciles them.
-paper/build/main.pdf: $(wildcard paper/*.tex paper/*.bib) $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) | latex
+paper/build/main.pdf: $(wildcard paper/*.tex paper/sections/*.tex paper/*.bib) $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) | latex
 	cd paper && SOURCE_DATE_EPOCH=1767225600 FORCE_SOURCE_DATE=1 \
 	    latexmk -pdf -interaction=nonstopmode -halt-on-error -outdir=build main.tex
 	@touch $@

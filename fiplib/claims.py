@@ -371,7 +371,8 @@ def small_steps(paper: None, rows: Rows) -> Finding:
     if not rows:
         return Finding(math.nan, Verdict.OPEN, "The study 'length_jumps' is not complete")
     stepped = {(r["length"], r["rod"], r["lasting"]): r["survived"] for r in rows if r["change"] == "in steps"}
-    saved = {lasting: [stepped[*case, lasting] > 0 for case in cases] for lasting, cases in fell.items()}
+    flights = max(stepped.values())
+    saved = {lasting: [stepped[*case, lasting] == flights for case in cases] for lasting, cases in fell.items()}
     shares = {lasting: float(np.mean(some)) if some else math.nan for lasting, some in saved.items()}
     words = (
         f"Outliers of 2 s that fell at once ({len(saved['2 s'])} of the study): share that steps of 5 cm each 0.2 s "

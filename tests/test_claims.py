@@ -246,7 +246,7 @@ def jump(length: float, change: str, lasting: str, survived: int) -> dict:
     return {"length": length, "rod": "uniform", "change": change, "lasting": lasting, "survived": float(survived)}
 
 
-@pytest.mark.parametrize(("saved", "verdict"), [(1, Verdict.STATED), (0, Verdict.NOT)])
+@pytest.mark.parametrize(("saved", "verdict"), [(2, Verdict.STATED), (1, Verdict.NOT), (0, Verdict.NOT)])
 def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict):
     rows = [
         jump(0.2, "at once", "2 s", 0), jump(0.2, "in steps", "2 s", saved),
@@ -254,7 +254,7 @@ def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict
         jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
     ]  # fmt: skip
     found = claims.small_steps(None, rows)
-    assert found.value == saved and found.verdict is verdict and found.facts["lasting"] == 0
+    assert found.value == (saved == 2) and found.verdict is verdict and found.facts["lasting"] == 0
     assert claims.small_steps(None, []).verdict is Verdict.OPEN
 
 

@@ -96,7 +96,11 @@ def unlabelled(tex: str) -> set[str]:
 
 @pytest.fixture(scope="module")
 def report() -> str:
-    return (PAPER / "main.tex").read_text(encoding="utf-8")
+    """The report with its sections in place."""
+    main = (PAPER / "main.tex").read_text(encoding="utf-8")
+    return re.sub(
+        r"\\input\{(sections/\w+)\}", lambda found: (PAPER / f"{found[1]}.tex").read_text(encoding="utf-8"), main
+    )
 
 
 @pytest.fixture(scope="module")

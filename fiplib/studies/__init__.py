@@ -20,6 +20,7 @@ STUDIES = {
         "length_jumps",
         "weights",
         "ledger_seeds",
+        "ledger_readings",
         "landscapes",
         "landscape_curves",
         "estimators",
