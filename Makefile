@@ -103,13 +103,13 @@ clean: ## remove what was made; data/ and .venv stay
 	find fiplib scripts tests benchmarks -name __pycache__ -exec rm -rf {} +
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
-# last, so an interrupted step starts afresh. Byte code is left to the first import: most of it is never imported.
+# last, so an interrupted step starts afresh.
 .venv/locked: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	    echo "fip needs Python 3.11 or later, and '$(PYTHON)' is not that. Name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@echo "Setting up .venv: a minute or so, most of it download"
 	$(PYTHON) -m venv --clear .venv
-	$(PY) -m pip install --disable-pip-version-check --no-compile --require-hashes --requirement requirements.lock
+	$(PY) -m pip install --disable-pip-version-check --require-hashes --requirement requirements.lock
 	@touch $@
 
 .venv/installed: .venv/locked pyproject.toml

@@ -21,16 +21,18 @@ from functools import lru_cache, partial
 from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib import bags, ga, journal, kalman, replay
+from fiplib import bags, journal
 from fiplib.bags import BagError, Flight
 from fiplib.journal import Rows
-from fiplib.kalman import Window
 from fiplib.params import X_DOT, Y_DOT, A, B, Params, X, Y
+
+if TYPE_CHECKING:
+    from fiplib.kalman import Window
 
 ABOUT = 0.25
 """Relative difference within which a measured number of the paper counts as met. It says "approximately", and pushes,
@@ -249,14 +251,18 @@ def jumps(flight: Flight) -> list[Jump]:
     return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
 
 
-def refitted(flight: Flight) -> list[Window]:
+def refitted(flight: Flight) -> "list[Window]":
     """The estimator's window of every ``STRIDE``-th run."""
+    from fiplib import replay  # here and below: figures import this module, and need not wait for CasADi
+
     return [timed.window for timed in replay.windows(flight)[::STRIDE]]
 
 
-def best_length(window: Window, params: Params) -> float:
+def best_length(window: "Window", params: Params) -> float:
     """The length of smallest fitness that the GA's chromosome can express, m: all lengths in steps of 1 mm, then every
     code about the best of them. The minimum is centimetres wide, so nothing hides between the steps."""
+    from fiplib import ga, kalman
+
     coarse = ga.landscape(window, params.replace(estimation__resolution=1e-3)).best
     chromosome = ga.Chromosome.of(params.estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
@@ -426,6 +432,8 @@ def convergence_time(paper: float, flight: Flight) -> Finding:
 def printed_fitness(paper: float, flight: Flight) -> Finding:
     """G1-G3: the length at which the fitness as printed (Euler, J = df/dx, posterior residual) is smallest, searched
     exhaustively in steps of 1 mm; median over windows of the flight."""
+    from fiplib import ga
+
     ours = flight.params.replace(estimation__fitness="paper", estimation__resolution=1e-3)
     unit = ours.replace(estimation__process_noise=(1.0,) * 10, estimation__measurement_noise=(1.0,) * 10)
     windows = refitted(flight)
@@ -455,6 +463,8 @@ def search_gaps(*flights: Flight) -> tuple[float, float, float, int]:
     Returns:
         |l_GA - l_best| in m as flown and with ``EXPLORING``, |l_best - l| in m, all medians over windows; their number.
     """
+    from fiplib import ga
+
     cases = [(window, flight.params) for flight in flights for window in refitted(flight)]
     best = np.array([best_length(*case) for case in cases])
     found = {explore: [] for explore in (False, True)}
@@ -612,7 +622,8 @@ def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows])
         "" if value is None or math.isnan(value) else f"{value:.{claim.decimals}f}"
         for value in (claim.paper, found.value)
     )
-    origins = sorted({source.metadata["origin"] for source in sources if isinstance(source, Flight)})
+    studied = {"simulated" for source in sources if isinstance(source, list)}
+    origins = sorted(studied | {source.metadata["origin"] for source in sources if isinstance(source, Flight)})
     bag = ", ".join(claim.bags) + (f" ({' and '.join(origins)})" if origins else "")
     facts = {name: f"{value:.3g}" for name, value in found.facts.items()}
     return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)

@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fiplib import claims, replay
+from fiplib import claims
 from fiplib.bags import Flight
-from fiplib.estimators import ESTIMATORS
 from fiplib.journal import Rows
 from fiplib.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.tables import Table
@@ -92,7 +91,7 @@ def fig9_estimators(rows: Rows) -> Figure:
     """Fig. 9: RMS error of every estimator over the Cramer-Rao bound of raw motion capture, on the 0.4 m circle."""
     figure = Figure(figsize=(COLUMN, 3.0), layout="constrained")
     axes = figure.subplots()
-    names = [name for name in LABELS if name in ESTIMATORS]
+    names = list(LABELS)
     for ratio, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
         chosen = [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == ratio]
         pooled = [_pooled(chosen, name) for name in names]
@@ -114,8 +113,7 @@ def fig10_intervals(flight: Flight) -> Figure:
     """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
     figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
     axes = figure.subplots()
-    estimator = ESTIMATORS["maximum_likelihood"]
-    times, lengths, deviations = _estimates(flight, estimator)
+    times, lengths, deviations = _estimates(flight)
     recorded = flight.length.values[1:, 1]
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
     axes.errorbar(
@@ -128,11 +126,14 @@ def fig10_intervals(flight: Flight) -> Figure:
     return figure
 
 
-def _estimates(flight: Flight, estimator) -> tuple[NDArray, NDArray, NDArray]:
-    """Times (s), lengths and standard deviations (m) of an estimator on windows of a flight, one each half second."""
+def _estimates(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
+    """Times (s), maximum-likelihood lengths and standard deviations (m), a window each half second of a flight."""
+    from fiplib import replay  # here: the other figures need not wait for CasADi
+    from fiplib.likelihood import maximum_likelihood
+
     found = []
     for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
-        estimate = estimator.function(window, flight.params, np.random.default_rng(0))
+        estimate = maximum_likelihood(window, flight.params)
         if estimate.reason is None:
             found.append(((stamp - flight.start_ns) / 1e9, estimate.length, estimate.standard_deviation))
     return tuple(np.array(found).T)

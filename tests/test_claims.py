@@ -504,7 +504,7 @@ def test_a_missing_bag_is_one_line_and_exit_code_2(tmp_path, capsys):
 def test_no_claim_looks_at_the_simulators_truth(ledger):
     """The same flights without their /truth topics give the same rows but for the refitted ones, left out for time."""
     flown = {claim.id: claim for claim in claims.CLAIMS if claim.judge is not claims.printed_fitness}
-    names = {name for claim in flown.values() for name in claim.bags if not name.endswith(".csv")}
+    names = {name for claim in flown.values() for name in claim.bags if not name.endswith(".csv") and "/" not in name}
     blind = {name: bags.read(ROOT / "data" / name) for name in sorted(names)}
     for flight in blind.values():
         object.__setattr__(flight, "truth_state", None)
