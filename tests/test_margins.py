@@ -61,10 +61,10 @@ def test_a_flight_from_a_small_lean_follows_the_linear_loop_tick_by_tick(used, t
     tape = Tape()
     fly(Scenario("small lean", "", 1.5, Hover(), params=params, seed=3), tape)
     truth = tape["truth_state"][::2, 1:]
-    for axis in AXES:
+    for index, axis in enumerate(AXES):
         signs = np.array([1.0, 1.0, 1.0, 1.0, axis.sign])
         flown = truth[:, list(axis.states)] * signs
-        linear = margins.closed_loop(used, params).open_loop
+        linear = margins.closed_loop(used, params, axis=index).open_loop
         state = np.zeros(linear.nstates)
         state[[2, 7]] = flown[0, 2]  # the observer's first frame gives no velocity
         followed = []

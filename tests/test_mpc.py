@@ -12,7 +12,8 @@ from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.mpc import CACHED_LENGTHS, MPC, SLACK_TOLERANCE, Status, problem, weights
 from fiplib.params import A_DOT, AXES, B_DOT, PHI, THETA, X_DOT, Y_DOT, A, B, Control, Params, Vehicle, X, Y
 
-PARAMS = Params()
+PARAMS = Params().replace(control__state_weights=(20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0))
+"""Axes weighted alike, so that they can be compared; weights that differ have tests of their own."""
 N = PARAMS.control.nodes
 U_MAX = PARAMS.vehicle.max_body_rate
 X_MAX = np.array(PARAMS.control.state_bounds)
