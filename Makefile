@@ -120,7 +120,7 @@ clean: ## remove what was made; data/ and .venv stay
 # them all; the stem of the claims' rule has no meaning. Its place above the tables' rule matters to make 3.81.
 figures/clai%s.csv figures/clai%s.txt paper/generated/nu%bers.tex paper/generated/clai%s-table.tex: $(CODE) | .venv/installed
 	@mkdir -p figures paper/generated
-	$(PY) -m fiplib.claims
+	$(PY) -m fiplib.ledger
 
 figures/fig%.pdf figures/fig%.png: $(CODE) | .venv/installed
 	@mkdir -p figures

@@ -1,38 +1,41 @@
 """Every number that the paper states, what our flights give, and the verdict: the ledger.
 
-``python -m fiplib.claims`` reads the bags and writes the ledger as table and text, and every number of the report as a
-LaTeX macro. A new claim is one function, (paper's number, flights) -> ``Finding``, and one line in ``CLAIMS``.
-
-All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
-never on a simulator's truth: the bag of a real vehicle goes through unchanged.
+A new claim is one function, (paper's number, what it is read from) -> ``Finding``, and one line in ``CLAIMS``. What is
+measured on a flight stands in ``measures``; ``python -m fiplib.ledger`` judges all claims and writes the files.
 """
 
-import argparse
-import csv
-import io
 import math
-import re
-import sys
-import textwrap
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from functools import lru_cache, partial
-from itertools import zip_longest
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib import bags, journal
-from fiplib.bags import BagError, Flight
+from fiplib.bags import Flight
 from fiplib.journal import Rows
-from fiplib.params import X_DOT, Y_DOT, A, B, Params, X, Y
-
-if TYPE_CHECKING:
-    from fiplib.kalman import Window
+from fiplib.measures import (
+    CONVERGED,
+    FALL_ANGLE,
+    FINAL_SECONDS,
+    angle,
+    best_length,
+    convergence,
+    fall_time,
+    jumps,
+    laps,
+    lean,
+    push_times,
+    refitted,
+    rms,
+    settling_time,
+    tracking_error,
+    used_length,
+    x_response,
+)
+from fiplib.params import X_DOT, Y_DOT, X, Y
 
 ABOUT = 0.25
 """Relative difference within which a measured number of the paper counts as met. It says "approximately", and pushes,
@@ -44,15 +47,6 @@ LITTLE = 0.1
 SETTLED = 0.01
 """Band in m within which a and b count as settled (D3). The paper names none; 1 cm is a sixth of its largest push."""
 
-FALL_ANGLE = math.radians(30.0)
-"""A rod that leans further has fallen: only to hold it there, the vehicle itself would have to tilt as far."""
-
-FINAL_SECONDS = 5.0
-"""The length a flight comes to is the median over its last seconds: single runs of the estimator scatter."""
-
-CONVERGED = 0.05
-"""Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
-
 ACCURACY = 0.029
 """Largest error in the paper's Table 3, m. Its three flights scatter from 0.0 to here: a flight of ours that ends as
 close as the worst of them is as good, and one flight cannot tell more."""
@@ -63,9 +57,6 @@ LATE = 14.0
 EXPLORING = {"estimation__elite_fraction": 0.05, "estimation__mutation_rate": 0.2}
 """The paper's remedy, fewer elites and more mutation, for which it gives no numbers: r_p from a sixth to a twentieth,
 r_m doubled."""
-
-STRIDE = 14
-"""Every how many runs of the estimator a window is refitted: about half a window apart, 7 in each of our flights."""
 
 SOLVE_TIME = "mpc_p99"
 """The quantity of benchmarks/solve_times.csv that must fit into a tick: 99 % of the solves take no longer."""
@@ -79,6 +70,10 @@ class Verdict(StrEnum):
     NOT = "not reproduced"
     VEHICLE = "cannot be tested without the vehicle"
     OPEN = "open"
+
+
+HELD = (Verdict.REPRODUCED, Verdict.STATED)
+"""The verdicts of a row that holds."""
 
 
 class Finding(NamedTuple):
@@ -115,167 +110,6 @@ def verdict(holds: bool, stated: bool = True) -> Verdict:
 def about(value: float, paper: float) -> bool:
     """Whether a number meets the paper's within ``ABOUT``."""
     return abs(value - paper) <= ABOUT * abs(paper)
-
-
-# --- what is measured on a flight -----------------------------------------------------------------------------------
-
-
-def states(flight: Flight) -> NDArray:
-    """The states that the controller used, (n, 10). Raises BagError if its references are not there beside them."""
-    for role in ("state", "reference"):
-        if getattr(flight, role) is None:
-            raise BagError(f"{flight.path}: no topic {bags.TOPICS[role]} ({role}), which the ledger is read from")
-    return flight.state.values
-
-
-def lean(flight: Flight) -> NDArray:
-    """max(|a|, |b|) of every recorded state, (n,) m."""
-    return np.abs(states(flight)[:, [A, B]]).max(axis=1)
-
-
-def tracking_error(flight: Flight) -> NDArray:
-    """x - x_ref and y - y_ref of every recorded state, (n, 2) m."""
-    return (states(flight) - flight.reference.values)[:, [X, Y]]
-
-
-def angle(offset: float, flight: Flight) -> float:
-    """Angle in deg of the flight's rod when its COM lies ``offset`` m beside its seat: asin(offset / (l/2))."""
-    return math.degrees(math.asin(min(1.0, 2 * offset / flight.params.pendulum.length)))
-
-
-def fall_time(flight: Flight) -> float:
-    """Time in s at which the rod first leans beyond ``FALL_ANGLE``; inf if it never does."""
-    offset = np.hypot(*states(flight)[:, [A, B]].T)
-    fallen = offset > flight.params.pendulum.length / 2 * math.sin(FALL_ANGLE)
-    return float(flight.time(flight.state)[fallen.argmax()]) if fallen.any() else math.inf
-
-
-def push_times(flight: Flight) -> list[float]:
-    """Times in s of the events that begin with "push". Raises BagError if there are none."""
-    times = [flight.time(event) for event in flight.events if event.text.startswith("push")]
-    if not times:
-        raise BagError(f"{flight.path}: no event on {bags.TOPICS['events']} begins with 'push': when was it pushed?")
-    return times
-
-
-def settling_time(time: NDArray, outside: NDArray) -> float:
-    """First of the times (n,) from which on ``outside`` (n,) is never true; inf if it is true at the end."""
-    first = np.flatnonzero(outside)[-1] + 1 if outside.any() else 0
-    return float(time[first]) if first < len(time) else math.inf
-
-
-class Laps(NamedTuple):
-    """A circular reference: ``mask`` (n,) of its last whole laps at full speed, ``phase`` (n,) rad turned since the
-    start, ``period`` s, ``radius`` m."""
-
-    mask: NDArray
-    phase: NDArray
-    period: float
-    radius: float
-
-
-def laps(flight: Flight) -> Laps:
-    """Read from the recorded reference alone. Raises BagError if it holds no whole lap."""
-    states(flight)
-    path, time = flight.reference.values[:, [X, Y]], flight.time(flight.reference)
-    turned = np.unwrap(np.arctan2(path[:, 1], path[:, 0]))
-    rate = np.gradient(turned, time)
-    period = float(2 * math.pi / abs(rate[-1])) if rate[-1] else math.inf
-    steady = settling_time(time, np.abs(rate - rate[-1]) > 0.01 * abs(rate[-1]))  # speeding up ends smoothly: 1 %
-    count = math.floor((time[-1] - steady) / period)
-    if count < 1:
-        raise BagError(f"{flight.path}: its reference makes no whole circle at full speed")
-    phase = (turned - turned[0]) * np.sign(rate[-1])
-    return Laps(time > time[-1] - count * period, phase, period, float(np.hypot(*path[-1])))
-
-
-def x_response(flight: Flight) -> tuple[float, float]:
-    """Amplitude of x over that of its reference, and its delay in s, at the circle's frequency over its last laps."""
-    lap, x, reference = laps(flight), states(flight)[:, X], flight.reference.values[:, X]
-    basis = np.stack([f(lap.phase[lap.mask]) for f in (np.cos, np.sin, np.ones_like)], axis=1)
-    ours, theirs = (
-        complex(*np.linalg.lstsq(basis, signal[lap.mask], rcond=None)[0][:2].tolist()) for signal in (x, reference)
-    )
-    response = ours / theirs
-    return abs(response), math.atan2(response.imag, response.real) * lap.period / (2 * math.pi)
-
-
-def used_length(flight: Flight) -> tuple[NDArray, NDArray]:
-    """Times (n,) in s at which a length was set, and the lengths (n,) in m. Raises BagError if there are none."""
-    if flight.length is None:
-        raise BagError(f"{flight.path}: no topic {bags.TOPICS['length']}, which says which length was used")
-    return flight.time(flight.length), flight.length.column("used")
-
-
-def true_length(flight: Flight) -> float:
-    """True length in m: recorded by the simulator, else the one in the bag's parameters. Drawn, and never judged by."""
-    truth = flight.truth_length
-    return float(truth.values[0, 0]) if truth is not None else flight.params.pendulum.length
-
-
-class Convergence(NamedTuple):
-    """What the used length came to: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
-
-    length: float
-    error: float
-    time: float
-
-
-def convergence(flight: Flight) -> Convergence:
-    """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
-    parameters, and when the used length came to within ``CONVERGED`` of that median for good."""
-    time, used = used_length(flight)
-    late = time > flight.duration - FINAL_SECONDS
-    final = float(np.median(used[late] if late.any() else used[-1:]))
-    error = abs(final - flight.params.pendulum.length)
-    return Convergence(final, error, settling_time(time, np.abs(used - final) > CONVERGED))
-
-
-class Jump(NamedTuple):
-    """A change of the used length: ``size`` in m; it lasts from ``start`` to the next one, a fall or the end, in s."""
-
-    size: float
-    start: float
-    end: float
-    fell: bool
-
-
-def jumps(flight: Flight) -> list[Jump]:
-    """Every change of the used length, in order. Raises BagError if there is none."""
-    time, used = used_length(flight)
-    at, fell = np.flatnonzero(np.diff(used)) + 1, fall_time(flight)
-    if not len(at):
-        raise BagError(f"{flight.path}: the length in use never changes in this flight")
-    sizes, starts = np.abs(used[at] - used[at - 1]).tolist(), time[at].tolist()
-    ends = [*starts[1:], flight.duration]
-    return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
-
-
-def refitted(flight: Flight) -> "list[Window]":
-    """The estimator's window of every ``STRIDE``-th run."""
-    from fiplib import replay  # here and below: figures import this module, and need not wait for CasADi
-
-    return [timed.window for timed in replay.windows(flight)[::STRIDE]]
-
-
-def best_length(window: "Window", params: Params) -> float:
-    """The length of smallest fitness that the GA's chromosome can express, m: all lengths in steps of 1 mm, then every
-    code about the best of them. The minimum is centimetres wide, so nothing hides between the steps."""
-    from fiplib import ga, kalman
-
-    coarse = ga.landscape(window, params.replace(estimation__resolution=1e-3)).best
-    chromosome = ga.Chromosome.of(params.estimation)
-    lengths = chromosome.length(np.arange(chromosome.codes))
-    lengths = lengths[np.abs(lengths - coarse) < 2e-3]
-    return float(lengths[kalman.fitness(lengths, window, params.estimation).argmin()])
-
-
-def rms(values: NDArray) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-# --- one function for each claim: (paper's number, what it is read from) -> Finding ---------------------------------
 
 
 def pushes_kept(paper: float, flight: Flight) -> Finding:
@@ -585,171 +419,3 @@ CLAIMS = (
 BY_ID = {claim.id: claim for claim in CLAIMS}
 PAPER = {claim.id: claim.paper for claim in CLAIMS if claim.paper is not None}
 """The paper's numbers by id of the claim, each in its claim's unit."""
-
-
-# --- the ledger as files --------------------------------------------------------------------------------------------
-
-
-class Row(NamedTuple):
-    """A row of the ledger as text; ``facts`` are numbers that only the report prints."""
-
-    id: str
-    claim: str
-    paper: str
-    ours: str
-    unit: str
-    reading: str
-    verdict: str
-    bag: str
-    facts: Mapping[str, str]
-
-
-def evaluate(data: Path = Path("data"), benchmarks: Path = Path("benchmarks")) -> list[Row]:
-    """Judge every claim on the bags in ``data`` and the tables in ``benchmarks``. Raises BagError."""
-    sources: dict[str, Flight | Mapping[str, float] | Rows] = {}
-    for name in dict.fromkeys(name for claim in CLAIMS for name in claim.bags):
-        if name.startswith("sweeps/"):
-            sources[name] = journal.read(name.removeprefix("sweeps/"), data)
-        else:
-            sources[name] = _table(benchmarks / name) if name.endswith(".csv") else bags.read(data / name)
-    return [judged(claim, [sources[name] for name in claim.bags]) for claim in CLAIMS]
-
-
-def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows]) -> Row:
-    """The row of one claim, from what it is read from."""
-    found = claim.judge(claim.paper, *sources)
-    paper, ours = (
-        "" if value is None or math.isnan(value) else f"{value:.{claim.decimals}f}"
-        for value in (claim.paper, found.value)
-    )
-    studied = {"simulated" for source in sources if isinstance(source, list)}
-    origins = sorted(studied | {source.metadata["origin"] for source in sources if isinstance(source, Flight)})
-    bag = ", ".join(claim.bags) + (f" ({' and '.join(origins)})" if origins else "")
-    facts = {name: f"{value:.3g}" for name, value in found.facts.items()}
-    return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)
-
-
-def _table(path: Path) -> Mapping[str, float]:
-    """Numbers by name from a CSV with the columns quantity and value_us; empty if there is no such file."""
-    if not path.exists():
-        return {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return {entry["quantity"]: float(entry["value_us"]) for entry in csv.DictReader(file)}
-    except (KeyError, ValueError, TypeError) as error:
-        raise BagError(f"{path}: needs the columns quantity and value_us ({error!r}); measure again") from error
-
-
-def as_csv(rows: Sequence[Row]) -> str:
-    """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([Row._fields[:-1], *(row[:-1] for row in rows)])
-    return text.getvalue()
-
-
-WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
-"""Columns of the ledger in a terminal: 148 characters with two between them."""
-
-
-def as_text(rows: Sequence[Row]) -> str:
-    """The ledger to read in a terminal, long texts wrapped."""
-
-    def lines(cells: Sequence[str]) -> list[str]:
-        wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, WIDTHS.values(), strict=True)]
-        return [
-            "  ".join(
-                part.rjust(width) if name in ("paper", "ours") else part.ljust(width)
-                for part, (name, width) in zip(parts, WIDTHS.items(), strict=True)
-            ).rstrip()
-            for parts in zip_longest(*wrapped, fillvalue="")
-        ]
-
-    counts = ", ".join(f"{count} {name}" for name, count in counted(rows).items())
-    text = [f"What the paper claims and what we get, {len(rows)} rows:", f"{counts}.", "", *lines(list(WIDTHS))]
-    text.append("-" * len("  ".join("-" * width for width in WIDTHS.values())))
-    for row in rows:
-        reading = f"{row.reading}." + (f" [{row.bag}]" if row.bag else "")
-        text += [*lines([*(getattr(row, name) for name in list(WIDTHS)[:-1]), reading]), ""]
-    return "\n".join(text)
-
-
-def as_latex(rows: Sequence[Row]) -> str:
-    """The ledger as a booktabs tabular of the page's width; the reasons stay in the CSV."""
-    lines = ["Row & Claim of the paper & Paper & Ours & Unit & Verdict"]
-    for row in rows:
-        symbols = re.sub(r"\b([abxyl])(0?)\b", lambda found: f"${found[1]}{'_0' if found[2] else ''}$", row.claim)
-        numbers = (number.replace("-", "$-$") or "--" for number in (row.paper, row.ours))
-        lines.append(" & ".join((row.id, symbols, *numbers, "" if row.unit == "1" else row.unit, row.verdict)))
-    head, *body = (rf"{line} \\" for line in lines)
-    top, bottom = r"\begin{tabular}{@{}llrrll@{}}" + "\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
-    return "\n".join([top, head, r"\midrule", *body, bottom])
-
-
-def counted(rows: Sequence[Row]) -> dict[str, int]:
-    """How many rows have each of the verdicts."""
-    count = Counter(row.verdict for row in rows)
-    return {str(kind): count[kind] for kind in Verdict}
-
-
-def macros(rows: Sequence[Row], params: Params) -> dict[str, str]:
-    """Every number of the report by name: Paper, Ours, Verdict + row; Fact + row + name; Count + name of a verdict;
-    Param + group + field for each finite scalar parameter, with a few derived ones."""
-    values = {
-        (group, name): value
-        for group, fields in params.to_dict().items()
-        for name, value in fields.items()
-        if type(value) in (int, float)
-    }
-    values["pendulum", "inertia_factor"] = params.pendulum.inertia_factor
-    values["control", "step"] = params.control.step
-    values["vehicle", "max_body_rate_degrees"] = math.degrees(params.vehicle.max_body_rate)
-    for name in ("mocap_latency", "rate_delay", "rate_lag"):
-        values["simulation", f"{name}_ms"] = round(1e3 * getattr(params.simulation, name), 2)
-    named = {macro("Param", *words): f"{value:.4g}" for words, value in values.items()}
-    for row in rows:
-        named |= {macro(kind, row.id): getattr(row, kind.lower()) for kind in ("Paper", "Ours", "Verdict")}
-        named |= {macro("Fact", row.id, name): text for name, text in row.facts.items()}
-    named |= {macro("Count", kind): str(count) for kind, count in {"rows": len(rows), **counted(rows)}.items()}
-    return {name: text for name, text in named.items() if text}
-
-
-def macro(*words: str) -> str:
-    """A name of letters only, as LaTeX wants it: ("Ours", "G1.time") -> OursGOneTime."""
-    digits = "Zero One Two Three Four Five Six Seven Eight Nine".split()
-    parts = re.findall(r"[A-Za-z]+|\d", " ".join(words))
-    return "".join(digits[int(part)] if part.isdigit() else part[0].upper() + part[1:] for part in parts)
-
-
-def write(rows: Sequence[Row], figures: Path, generated: Path) -> list[Path]:
-    """Write claims.csv and claims.txt into ``figures``, numbers.tex and claims-table.tex into ``generated``."""
-    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params()).items()]
-    contents = {
-        figures / "claims.csv": as_csv(rows),
-        figures / "claims.txt": as_text(rows),
-        generated / "numbers.tex": "".join(numbers),
-        generated / "claims-table.tex": as_latex(rows),
-    }
-    for path, text in contents.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
-    return list(contents)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line. Returns the exit code: 0, or 2 with one line on stderr."""
-    parser = argparse.ArgumentParser(prog="python -m fiplib.claims", description="Hold our flights against the paper.")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--benchmarks", type=Path, default=Path("benchmarks"), help="folder of solve_times.csv")
-    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder for claims.csv and claims.txt")
-    parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder for the LaTeX files")
-    options = parser.parse_args(arguments)
-    try:
-        print("wrote", *write(evaluate(options.data, options.benchmarks), options.figures, options.generated))
-    except (BagError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

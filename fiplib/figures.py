@@ -19,7 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fiplib import bags, claims, findings, journal, tables
+from fiplib import bags, claims, findings, journal, measures, tables
 from fiplib.bags import BagError, Flight
 from fiplib.params import STATES, Params
 from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, STYLE, origin
@@ -128,7 +128,7 @@ def fig5_estimation(flight: Flight) -> Figure:
     )  # fmt: skip
     axes.plot(time, estimate, ".", ms=2, color=BLUE, label="GA run")
     axes.step(time, used, where="post", color=ORANGE, label="used")
-    axes.axhline(claims.true_length(flight), color="black", lw=0.6, label="true")
+    axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
     axes.axvline(claims.PAPER["G3.time"], color=GREY, ls="--", lw=0.7, label="paper converged")
     axes.set(ylabel="length (m)", ylim=(0.75, 1.75))
     axes.legend(loc="upper right", ncols=2)
@@ -148,7 +148,7 @@ def fig6_convergence(*flights: Flight) -> Figure:
         axes.plot(claims.PAPER[f"{claim}.time"], claims.PAPER[f"{claim}.length"], "X", color=colour, mec="black",
                   mew=0.4, ms=5.5, zorder=3)  # fmt: skip
     axes.plot([], [], "X", color="white", mec="black", mew=0.6, ms=5.5, label="paper, same colour")
-    axes.axhline(claims.true_length(flights[0]), color="black", lw=0.6)
+    axes.axhline(measures.true_length(flights[0]), color="black", lw=0.6)
     axes.set(ylabel="length used, $l$ (m)", xlabel="time (s)")
     axes.legend(ncols=2, loc="upper right")
     return figure
@@ -256,7 +256,7 @@ def _plot_errors(axes: Axes, flight: Flight) -> None:
         error = flight.state.column(name) - flight.reference.column(name)
         axes.plot(flight.time(flight.state), 100 * error, color=colour, label=f"${name} - {name}_\\mathrm{{ref}}$")
     axes.set_ylabel("error (cm)")
-    largest = 100 * np.abs(claims.tracking_error(flight)).max()
+    largest = 100 * np.abs(measures.tracking_error(flight)).max()
     axes.set_ylim(-1.25 * largest, 2.1 * largest)
     axes.legend(loc="upper right", ncols=2)
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fiplib import claims
+from fiplib import measures
 from fiplib.bags import Flight
 from fiplib.journal import Rows
 from fiplib.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
@@ -119,7 +119,7 @@ def fig10_intervals(flight: Flight) -> Figure:
     axes.errorbar(
         times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="maximum likelihood, 95 %"
     )
-    axes.axhline(claims.true_length(flight), color="black", lw=0.6, label="true")
+    axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
     axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.88, 1.12))
     axes.legend(loc="upper right", ncols=2)
     origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")

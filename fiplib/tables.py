@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiplib import claims
+from fiplib import claims, measures
 from fiplib.bags import Flight
 from fiplib.params import STATES, Params
 
@@ -75,7 +75,7 @@ def table3_convergence(*flights: Flight) -> Table:
     """Table 3: convergence time and error from the three starts, the paper's beside ours (simulated)."""
     rows = []
     for flight, claim in zip(flights, ("G1", "G2", "G3"), strict=True):
-        converged = claims.convergence(flight)
+        converged = measures.convergence(flight)
         rows.append((
             f"{flight.params.piloting.initial_length:.1f}",
             f"{claims.PAPER[f'{claim}.time']:.2f}", f"{converged.time:.2f}",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiplib import bags, claims, ga, kalman
+from fiplib import bags, claims, ga, kalman, ledger, measures
 from fiplib.bags import BagError, Event, Flight, Poses, Series
 from fiplib.claims import Verdict
 from fiplib.dynamics import prediction_model, rk4
@@ -82,31 +82,31 @@ def bump(time: np.ndarray, start: float, peak: float, decay: float) -> np.ndarra
 
 def test_settling_is_counted_from_the_last_sample_outside():
     time = np.arange(5.0)
-    assert claims.settling_time(time, np.array([True, False, True, False, False])) == 3.0
-    assert claims.settling_time(time, np.zeros(5, bool)) == 0.0
-    assert claims.settling_time(time, time >= 4) == math.inf
+    assert measures.settling_time(time, np.array([True, False, True, False, False])) == 3.0
+    assert measures.settling_time(time, np.zeros(5, bool)) == 0.0
+    assert measures.settling_time(time, time >= 4) == math.inf
 
 
 def test_an_offset_becomes_an_angle_by_the_arc_sine_as_in_the_paper():
     # the paper prints 5.8 cm as 6.67 deg and 2.5 cm as 2.87 deg; its centimetres are rounded to 0.05 cm, 0.06 deg
-    assert claims.angle(0.058, flight(1)) == pytest.approx(6.67, abs=0.06)
-    assert claims.angle(0.025, flight(1)) == pytest.approx(2.87, abs=0.06)
-    assert claims.angle(9.0, flight(1)) == 90.0
+    assert measures.angle(0.058, flight(1)) == pytest.approx(6.67, abs=0.06)
+    assert measures.angle(0.025, flight(1)) == pytest.approx(2.87, abs=0.06)
+    assert measures.angle(9.0, flight(1)) == 90.0
 
 
 def test_a_rod_that_leans_beyond_thirty_degrees_has_fallen_then():
     lean = 0.1 * moments(4)  # m; the COM of a 1 m rod is 0.25 m off at 30 deg, reached at 2.5 s
-    assert claims.fall_time(flight(4, {A: lean})) == pytest.approx(2.5, abs=TICK)
-    assert claims.fall_time(flight(2, {A: 0.1 * moments(2)})) == math.inf
+    assert measures.fall_time(flight(4, {A: lean})) == pytest.approx(2.5, abs=TICK)
+    assert measures.fall_time(flight(2, {A: 0.1 * moments(2)})) == math.inf
     # a and b of 0.2 m each lean by 34 deg together
-    assert claims.fall_time(flight(1, {A: np.full(RATE, 0.2), B: np.full(RATE, 0.2)})) == 0.0
+    assert measures.fall_time(flight(1, {A: np.full(RATE, 0.2), B: np.full(RATE, 0.2)})) == 0.0
 
 
 @pytest.mark.parametrize("clockwise", [1.0, -1.0])
 def test_a_circle_is_read_off_the_reference_whichever_way_it_turns(clockwise):
     reference = Circle(radius=0.4, period=8.0).at(moments(25))
     reference[:, Y] *= clockwise
-    lap = claims.laps(flight(25, reference=reference))
+    lap = measures.laps(flight(25, reference=reference))
     assert lap.period == pytest.approx(8.0, abs=1e-6)
     assert lap.radius == pytest.approx(0.4)
     assert lap.mask.sum() == pytest.approx(2 * 8 * RATE, abs=1)  # at speed from 5 s to 25 s: two whole laps
@@ -118,32 +118,32 @@ def test_amplitude_and_delay_of_x_are_found(clockwise):
     circle = Circle(radius=0.8, period=9.0)
     reference, late = circle.at(moments(26)), circle.at(moments(26) - 0.12)
     reference[:, Y] *= clockwise
-    gain, delay = claims.x_response(flight(26, {X: 0.93 * late[:, X] + 0.05}, reference=reference))
+    gain, delay = measures.x_response(flight(26, {X: 0.93 * late[:, X] + 0.05}, reference=reference))
     assert gain == pytest.approx(0.93, abs=1e-6)  # a constant offset is no part of the amplitude
     assert delay == pytest.approx(0.12, abs=1e-6)
 
 
 def test_a_hover_or_half_a_circle_is_refused_as_a_circle():
     with pytest.raises(BagError, match="no whole circle"):
-        claims.laps(flight(5))
+        measures.laps(flight(5))
     with pytest.raises(BagError, match="no whole circle"):
-        claims.laps(flight(10, reference=Circle(radius=0.4, period=8.0).at(moments(10))))
+        measures.laps(flight(10, reference=Circle(radius=0.4, period=8.0).at(moments(10))))
 
 
 def test_convergence_is_the_last_median_its_error_and_the_time_it_was_first_kept():
     lengths = [(0.0, 1.4), (5.5, 1.2), (8.0, 1.06), (12.0, 1.03), (17.0, 1.01), (19.0, 1.02)]
-    found = claims.convergence(flight(20, lengths=lengths))
-    assert found == claims.Convergence(pytest.approx(1.015), pytest.approx(0.015), 8.0)
+    found = measures.convergence(flight(20, lengths=lengths))
+    assert found == measures.Convergence(pytest.approx(1.015), pytest.approx(0.015), 8.0)
 
 
 def test_a_length_that_was_never_updated_late_converges_to_its_last_value():
-    assert claims.convergence(flight(20, lengths=[(0.0, 0.8), (6.0, 1.0)])) == (1.0, 0.0, 6.0)
+    assert measures.convergence(flight(20, lengths=[(0.0, 0.8), (6.0, 1.0)])) == (1.0, 0.0, 6.0)
 
 
 def test_jumps_end_at_the_next_one_or_in_a_fall():
     lean = np.where(moments(20) > 18, 0.3, 0.0)
     lengths = [(0.0, 1.0), (6.0, 0.4), (11.0, 1.0), (16.0, 1.85)]
-    first, second, third = claims.jumps(flight(20, {A: lean}, lengths=lengths))
+    first, second, third = measures.jumps(flight(20, {A: lean}, lengths=lengths))
     assert first == (pytest.approx(0.6), 6.0, 11.0, False)
     assert second == (pytest.approx(0.6), 11.0, 16.0, False)
     assert third == (pytest.approx(0.85), 16.0, pytest.approx(18.0, abs=TICK), True)
@@ -152,14 +152,14 @@ def test_jumps_end_at_the_next_one_or_in_a_fall():
 def test_what_a_flight_lacks_is_named():
     bare = flight(5)
     with pytest.raises(BagError, match="push"):
-        claims.push_times(bare)
+        measures.push_times(bare)
     with pytest.raises(BagError, match="/fip/length"):
-        claims.convergence(bare)
+        measures.convergence(bare)
     with pytest.raises(BagError, match="never changes"):
-        claims.jumps(flight(5, lengths=[(0.0, 1.0)]))
+        measures.jumps(flight(5, lengths=[(0.0, 1.0)]))
     object.__setattr__(bare, "reference", None)
     with pytest.raises(BagError, match="/fip/reference"):
-        claims.lean(bare)
+        measures.lean(bare)
 
 
 # --- claims
@@ -349,7 +349,7 @@ def window() -> Window:
 
 def test_the_two_steps_of_the_exhaustive_search_find_the_best_of_all_lengths(window):
     params = Params().replace(estimation__length_min=0.9, estimation__length_max=1.2)  # 3 001 codes are quick
-    best = claims.best_length(window, params)
+    best = measures.best_length(window, params)
     assert best == ga.landscape(window, params).best
     assert best == pytest.approx(1.05, abs=0.01)  # the model is unstable, so that 4 s of it tell the length well
     assert kalman.fitness([best], window, params.estimation) < kalman.fitness([best + 0.01], window, params.estimation)
@@ -360,7 +360,7 @@ def test_the_gaps_of_the_search_are_medians_against_that_optimum(window, monkeyp
     params = Params().replace(estimation__length_min=0.9, estimation__length_max=1.2)
     flown, explored, optimum, count = claims.search_gaps(flight(1, params=params))
     assert count == 2
-    assert optimum == pytest.approx(abs(claims.best_length(window, params) - 1.0))
+    assert optimum == pytest.approx(abs(measures.best_length(window, params) - 1.0))
     # 20 generations of 60 see most of 3 001 codes about the optimum: within 5 mm with either setting
     assert 0 <= flown < 5e-3 and 0 <= explored < 5e-3
 
@@ -408,10 +408,10 @@ def test_real_time_is_read_off_the_benchmark_and_open_without_it(tmp_path):
     assert claims.solve_time(8.33, {}).verdict is Verdict.OPEN
     assert claims.solve_time(8.33, {claims.SOLVE_TIME: 500.0})[:2] == (0.5, Verdict.STATED)
     assert claims.solve_time(8.33, {claims.SOLVE_TIME: 9000.0}).verdict is Verdict.NOT
-    assert claims._table(tmp_path / "none.csv") == {}
+    assert ledger._table(tmp_path / "none.csv") == {}
     (tmp_path / "broken.csv").write_text("quantity,value_us\nmpc_p99,fast\n")
     with pytest.raises(BagError, match=r"broken\.csv"):
-        claims._table(tmp_path / "broken.csv")
+        ledger._table(tmp_path / "broken.csv")
 
 
 # --- the ledger
@@ -437,15 +437,15 @@ def test_a_tolerance_is_met_up_to_its_edge():
 
 
 @pytest.fixture(scope="module")
-def ledger() -> list[claims.Row]:
+def judged_rows() -> list[ledger.Row]:
     """The whole ledger on the recorded flights, but with a single window each refitted: enough for its form."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(claims, "STRIDE", 1000)
-        return claims.evaluate(ROOT / "data", ROOT / "benchmarks")
+        patch.setattr(measures, "STRIDE", 1000)
+        return ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
 
 
-def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(ledger):
-    rows = list(csv.DictReader(io.StringIO(claims.as_csv(ledger))))
+def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(judged_rows):
+    rows = list(csv.DictReader(io.StringIO(ledger.as_csv(judged_rows))))
     assert list(rows[0]) == COLUMNS
     assert [row["id"] for row in rows] == [claim.id for claim in claims.CLAIMS]
     assert {row["verdict"] for row in rows} <= {str(verdict) for verdict in Verdict}
@@ -457,25 +457,25 @@ def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(ledger):
         assert row["bag"] == ", ".join(names) + (" (simulated)" if flown else "")
 
 
-def test_the_text_fits_a_wide_terminal_and_holds_every_row(ledger):
-    text = claims.as_text(ledger)
+def test_the_text_fits_a_wide_terminal_and_holds_every_row(judged_rows):
+    text = ledger.as_text(judged_rows)
     assert max(map(len, text.splitlines())) <= 150
-    assert all(f"\n{row.id} " in text for row in ledger)
+    assert all(f"\n{row.id} " in text for row in judged_rows)
 
 
-def test_the_latex_table_is_a_tabular_of_as_many_rows(ledger):
-    lines = claims.as_latex(ledger).splitlines()
+def test_the_latex_table_is_a_tabular_of_as_many_rows(judged_rows):
+    lines = ledger.as_latex(judged_rows).splitlines()
     assert lines[0].startswith(r"\begin{tabular}") and lines[-1] == r"\end{tabular}"
     cells = [line for line in lines if line.endswith(r"\\")]
-    assert len(cells) == len(ledger) + 1
+    assert len(cells) == len(judged_rows) + 1
     assert all(line.count("&") == 5 and "%" not in line and "_" not in line.replace("$l_0$", "") for line in cells)
 
 
-def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(ledger):
-    macros = claims.macros(ledger, Params())
+def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(judged_rows):
+    macros = ledger.macros(judged_rows, Params())
     assert macros["PaperGOneTime"] == "14.68"
     assert macros["ParamPendulumInertiaFactor"] == "0.75"
-    assert sum(int(text) for name, text in macros.items() if name.startswith("Count")) == 2 * len(ledger)
+    assert sum(int(text) for name, text in macros.items() if name.startswith("Count")) == 2 * len(judged_rows)
     for name, text in macros.items():
         assert name.isascii() and name.isalpha()
         if name.startswith("Verdict"):
@@ -484,24 +484,24 @@ def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(le
             assert math.isfinite(float(text)), name
 
 
-def test_the_same_bags_give_the_same_bytes(ledger, tmp_path, monkeypatch):
-    monkeypatch.setattr(claims, "STRIDE", 1000)
+def test_the_same_bags_give_the_same_bytes(judged_rows, tmp_path, monkeypatch):
+    monkeypatch.setattr(measures, "STRIDE", 1000)
     claims.search_gaps.cache_clear()
-    again = claims.evaluate(ROOT / "data", ROOT / "benchmarks")
-    first = claims.write(ledger, tmp_path / "1", tmp_path / "1")
-    second = claims.write(again, tmp_path / "2", tmp_path / "2")
+    again = ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
+    first = ledger.write(judged_rows, tmp_path / "1", tmp_path / "1")
+    second = ledger.write(again, tmp_path / "2", tmp_path / "2")
     assert [path.name for path in first] == ["claims.csv", "claims.txt", "numbers.tex", "claims-table.tex"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
 def test_a_missing_bag_is_one_line_and_exit_code_2(tmp_path, capsys):
-    assert claims.main(["--data", str(tmp_path), "--figures", str(tmp_path), "--generated", str(tmp_path)]) == 2
+    assert ledger.main(["--data", str(tmp_path), "--figures", str(tmp_path), "--generated", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "push-hover" in error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_claim_looks_at_the_simulators_truth(ledger):
+def test_no_claim_looks_at_the_simulators_truth(judged_rows):
     """The same flights without their /truth topics give the same rows but for the refitted ones, left out for time."""
     flown = {claim.id: claim for claim in claims.CLAIMS if claim.judge is not claims.printed_fitness}
     names = {name for claim in flown.values() for name in claim.bags if not name.endswith(".csv") and "/" not in name}
@@ -509,10 +509,10 @@ def test_no_claim_looks_at_the_simulators_truth(ledger):
     for flight in blind.values():
         object.__setattr__(flight, "truth_state", None)
         object.__setattr__(flight, "truth_length", None)
-    for row in ledger:
+    for row in judged_rows:
         claim = flown.get(row.id)
         if claim and set(claim.bags) <= set(blind) and not row.id.startswith("G4."):
-            assert claims.judged(claim, [blind[name] for name in claim.bags]) == row
+            assert ledger.judged(claim, [blind[name] for name in claim.bags]) == row
 
 
 def test_states_are_declared_in_the_order_that_the_claims_index():

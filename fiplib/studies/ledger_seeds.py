@@ -1,7 +1,7 @@
 """The recorded scenarios flown again over many seeds: is a row of the ledger a rule, or one lucky flight?
 
-Everything is measured by the functions of ``claims``, on what the controller saw. ``VARIANTS`` fly again with what the
-paper says should be changed, or could be read otherwise, and nothing else:
+Everything is measured and judged by the ledger itself (``claims``), on what the controller saw. ``VARIANTS`` fly again
+with what the paper says should be changed, or could be read otherwise, and nothing else:
 
 - *default*: one set of parameters for all rows, 20 seeds;
 - *y heavy*: ten times the weights of y and y', those of x and x' (C3: another weight would mend y);
@@ -17,9 +17,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from fiplib import claims, replay
+from fiplib import claims, measures, replay
 from fiplib.bags import Flight
 from fiplib.params import Y_DOT, Params, Y
 from fiplib.simulate import SCENARIOS, Tape, fly
@@ -63,12 +61,22 @@ VARIANTS = {
 ESTIMATOR = ("exploring", "every 5 s", "120 Hz window", "printed fitness")
 """The variants of the estimator: a study of their own, ``ledger_readings``."""
 
-COLUMNS = (
-    "survived", "flown", "largest_lean", "settling",
-    "x_gain", "x_delay", "y_error", "axes",
-    "final_length", "final_error", "converged", "late_share", "tracking",
-    "safe_jump", "fatal_jump",
-)  # fmt: skip
+CIRCLING = {"largest_lean": "C1", "x_gain": "C2.gain", "x_delay": "C2.delay", "y_error": "C2.y"}
+ESTIMATING = {"final_length": "length", "final_error": "error", "converged": "time"}
+
+ROWS = {
+    "push-hover": {"largest_lean": "D2", "settling": "D3"},
+    "circle-0.8": CIRCLING,
+    **{
+        f"estimate-{start}": {column: f"{id}.{row}" for column, row in ESTIMATING.items()}
+        | {"late_share": "G4.late", "tracking": "G5"}
+        for id, start in (("G1", "0.8"), ("G2", "1.2"), ("G3", "1.4"))
+    },
+    "length-jump": {"safe_jump": "G6.safe", "fatal_jump": "G6.fatal"},
+}
+"""The row of the ledger that judges each column of the study, by scenario."""
+
+COLUMNS = tuple(dict.fromkeys(column for rows in ROWS.values() for column in rows))
 
 
 def cases() -> list[dict]:
@@ -90,46 +98,31 @@ def run(case: dict) -> dict[str, float | int | str]:
     """The ledger's measures of one flight; NaN where a row does not speak of this scenario, or the flight fell.
 
     Returns:
-        survived (0 or 1) and flown (s), D1; largest_lean (m), D2 and C1; settling (s), D3; x_gain, x_delay (s) and
-        y_error (m), C2; axes (RMS error of y over that of x), C3; final_length, final_error (m) and converged (s),
-        G1-G3; late_share of the initial error that goes after 14 s, G4; tracking (RMS error of x after over before the
-        first update), G5; safe_jump and fatal_jump (m), G6.
+        survived (0 or 1) and flown (s); axes, the RMS error of y over that of x on the 0.8 m circle; and for each
+        column in ``ROWS`` the value of its row in the row's unit, and whether the row holds, ``holds_COLUMN`` (0 or 1).
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
     tape = Tape()
     outcome = fly(scenario, tape)
     flight = replay.flight_of(tape, scenario)
-    row = dict.fromkeys(COLUMNS, math.nan)
-    row |= {"survived": int(outcome.survived), "flown": outcome.duration}
-    if scenario.told_lengths:
-        return row | {
-            "safe_jump": claims.BY_ID["G6.safe"].judge(claims.PAPER["G6.safe"], flight).value,
-            "fatal_jump": claims.BY_ID["G6.fatal"].judge(claims.PAPER["G6.fatal"], flight).value,
-        }
-    if not outcome.survived:
-        return row
-    time = flight.time(flight.state)
-    if scenario.pushes:
-        row["largest_lean"] = float(claims.lean(flight)[time >= scenario.pushes[0].start].max())
-        row["settling"] = claims.BY_ID["D3"].judge(claims.PAPER["D3"], flight).value
-    elif scenario.params.piloting.estimate:
-        row |= _estimation(flight)
-    else:
-        row["largest_lean"] = float(claims.lean(flight).max())
-        row["x_gain"], row["x_delay"] = claims.x_response(flight)
-        error = claims.tracking_error(flight)
-        row["y_error"] = float(np.abs(error[:, 1]).max())
-        x, y = (claims.rms(axis) for axis in error[claims.laps(flight).mask].T)
+    row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)
+    row = {"survived": int(outcome.survived), "flown": outcome.duration, **row}
+    if outcome.survived or scenario.told_lengths:
+        for column, id in ROWS[scenario.name].items():
+            if column == "tracking" and not updated_on_the_circle(flight):
+                continue
+            claim = claims.BY_ID[id]
+            found = claim.judge(claim.paper, flight)
+            row |= {column: found.value, f"holds_{column}": int(found.verdict in claims.HELD)}
+    if outcome.survived and scenario.name in CIRCLE:
+        errors = measures.tracking_error(flight)[measures.laps(flight).mask]
+        x, y = (measures.rms(axis) for axis in errors.T)
         row["axes"] = y / x
     return row
 
 
-def _estimation(flight: Flight) -> dict[str, float]:
-    length, error, converged = claims.convergence(flight)
-    row = {"final_length": length, "final_error": error, "converged": converged}
-    row["late_share"] = claims.late_convergence(None, flight).value
-    # an update before the circle has begun leaves no arc to compare with
-    if claims.laps(flight).phase[claims.jumps(flight)[0].start > flight.time(flight.reference)].max() > 0.0:
-        row["tracking"] = claims.tracking_ratio(None, flight).value
-    return row
+def updated_on_the_circle(flight: Flight) -> bool:
+    """Whether the circle had begun before the first update of the length: else there is no arc to compare with (G5)."""
+    before = flight.time(flight.reference) < measures.jumps(flight)[0].start
+    return bool(measures.laps(flight).phase[before].max() > 0.0)

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from fiplib import claims, margins, replay
+from fiplib import claims, margins, measures, replay
 from fiplib.claims import Verdict
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
@@ -151,7 +151,7 @@ def _starts(params: Params) -> dict[str, float]:
             flown = params.replace(piloting__initial_length=start)
             scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
             up += fly(scenario, tape).survived
-            leans.append(float(claims.lean(replay.flight_of(tape, scenario)).max()))
+            leans.append(float(measures.lean(replay.flight_of(tape, scenario)).max()))
     return {"starts": up, "start_lean": max(leans)}
 
 
@@ -165,5 +165,5 @@ def _ledger(scenario: Scenario) -> dict[str, float]:
         claim = claims.BY_ID[id]
         if claim.bags == (scenario.name,):
             found = claim.judge(claim.paper, flight) if survived else claims.Finding(math.nan, Verdict.NOT, "fell")
-            row |= {id: float(found.value), f"holds_{id}": int(found.verdict in (Verdict.REPRODUCED, Verdict.STATED))}
+            row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
     return row
