@@ -12,8 +12,7 @@ from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.mpc import CACHED_LENGTHS, MPC, SLACK_TOLERANCE, Status, problem, weights
 from fiplib.params import A_DOT, AXES, B_DOT, PHI, THETA, X_DOT, Y_DOT, A, B, Control, Params, Vehicle, X, Y
 
-PARAMS = Params().replace(control__state_weights=(20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0))
-"""Axes weighted alike, so that they can be compared; weights that differ have tests of their own."""
+PARAMS = Params()
 N = PARAMS.control.nodes
 U_MAX = PARAMS.vehicle.max_body_rate
 X_MAX = np.array(PARAMS.control.state_bounds)
@@ -22,8 +21,11 @@ HOVER = np.zeros((N + 1, 10))
 NO_BOUNDS = PARAMS.replace(vehicle__max_body_rate=math.inf, control__state_bounds=(math.inf,) * 10)
 HARD_BOUNDS = PARAMS.replace(control__slack_weight=math.inf)
 
-PUSH = 0.27
+PUSH = 0.35
 """Largest speed that a push gives to the COM of a 1 m rod, m/s; the paper's kind, 6 mN s on 32 g, gives 0.19 m/s."""
+
+ALIKE = PARAMS.replace(control__state_weights=(20.0, 5.0, 20.0, 5.0, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0))
+"""Both axes weighted as x is."""
 
 
 def circle(time, radius):
@@ -91,7 +93,7 @@ def test_the_first_input_is_that_of_an_independent_solver_of_the_written_problem
     for state, reference in visited:
         solution = mpc.solve(state, reference, length)
         inputs, states = ipopt(state, reference, length)
-        # the project's requirement; the largest difference, 1.1e-7, is ipopt's own error
+        # the project's requirement; most of the largest difference is ipopt's own error
         assert np.abs(solution.input - inputs[0]).max() < 1e-6
         # the rest of the plan is as exact; the states' units are not the input's, hence ten times wider
         assert np.abs(solution.states - states).max() < 1e-5
@@ -173,8 +175,8 @@ def test_the_plan_follows_the_model_within_hard_input_bounds():
         assert np.abs(solution.states[1:] - successors).max() < 1e-8
 
 
-def test_the_two_axes_are_one_system_after_the_sign_flip():
-    mpc = MPC(PARAMS)
+def test_the_two_axes_weighted_alike_are_one_system_after_the_sign_flip():
+    mpc = MPC(ALIKE)
     (x_axis, y_axis), state = AXES, np.zeros(10)
     state[list(x_axis.states)] = 0.5, -0.2, 0.02, 0.1, 0.05
     mirrored = np.zeros(10)
