@@ -1,26 +1,22 @@
-"""ROS 2 bag -> Flight: a recorded flight as plain arrays, checked. ``python -m fiplib.bags info BAG`` describes one.
+"""ROS 2 bag -> Flight: a recorded flight as plain arrays, checked.
 
-A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a bag
-is one ``BagError`` that names the file and the topic and says what to do.
+``python -m fiplib.bags info BAG`` describes one, ``python -m fiplib.bags recover BAG`` saves what is left of a damaged
+one. A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a
+bag is one ``BagError`` that names the file and the topic and says what to do.
 """
 
 import argparse
 import dataclasses
 import json
-import os
-import struct
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_mcap import decompress
-from ruamel.yaml import YAML
 
 from fiplib.params import Params
 from fiplib.recorder import (
@@ -32,13 +28,16 @@ from fiplib.recorder import (
     POSE,
     ROLES,
     SECOND,
+    SIDECAR,
     TOPICS,
     BagError,
     Layout,
     Recorder,
-    checksum,
+    genuine,
     typestore,
 )
+from fiplib.records import embedded_metadata
+from fiplib.recover import intact_messages, recover
 
 __all__ = ["TOPICS", "BagError", "Event", "Flight", "Poses", "Recorder", "Series", "TopicInfo", "read"]
 
@@ -215,12 +214,21 @@ def _load(path: Path, names: Mapping[str, str]) -> _Loaded:
     except OSError as error:
         raise BagError(f"{source}: cannot be opened ({_line(error)})") from error
     except Exception as error:  # the library raises a dozen kinds on damage, from struct.error to MemoryError
-        count = _intact_messages(source)
-        raise BagError(
-            f"{source}: damaged or incomplete ({_line(error)}). {count} messages before the damage are intact, but "
-            "reading part of a bag is not possible yet: copy it again from where it was recorded, and keep this one"
-            + (". If only metadata.yaml is damaged, its .mcap file can be read by itself" if source.is_dir() else "")
-        ) from error
+        raise BagError(f"{source}: {_damage(path, source, error)}") from error
+
+
+def _damage(path: Path, source: Path, error: Exception) -> str:
+    """What is wrong with a bag that cannot be read, and what its user can do."""
+    unfinished = (path / SIDECAR).exists()
+    words = f"damaged or incomplete ({_line(error)})"
+    if unfinished:
+        words = "not finished: it is being recorded still, or its recording was killed"
+    with suppress(BagError):
+        if count := intact_messages(source):
+            return f"{words}. {count} messages are intact; into a new bag with: python -m fiplib.bags recover {path}"
+    if unfinished:
+        return f"{words}. It holds no message yet"
+    return f"{words}. Nothing in it can be read: copy it again from where it was recorded, and keep this one"
 
 
 def _collect(source: Path, names: Mapping[str, str]) -> _Loaded:
@@ -229,7 +237,7 @@ def _collect(source: Path, names: Mapping[str, str]) -> _Loaded:
         roles.setdefault(topic, []).append(role)
     with Reader(source) as reader:
         connections = list(reader.connections)
-        metadata = _metadata(source, reader.storage.metadata.custom or _embedded_metadata(source))
+        metadata = _metadata(source, reader.storage.metadata.custom or embedded_metadata(source))
         wanted = [connection for connection in connections if connection.topic in roles]
         for connection in wanted:
             for role in roles[connection.topic]:
@@ -273,12 +281,12 @@ def _source(path: Path) -> Path:
 
 def _metadata(source: Path, entries: Mapping[str, Any]) -> dict[str, Any]:
     """Decode a bag's own words about itself (JSON values; other recorders may have put plain strings)."""
-    entries = dict(entries)
-    recorded = entries.pop("checksum", None)
-    if recorded != (checksum(entries) if "messages" in entries else None):  # both are the recorder's, or neither
+    if not genuine(entries):
         raise BagError(f"{source}: the metadata were damaged or edited since the recording: restore the original")
     metadata: dict[str, Any] = {"origin": "unknown"}
     for key, value in entries.items():
+        if key == "checksum":
+            continue
         try:
             metadata[key] = json.loads(value)
         except (TypeError, ValueError):
@@ -376,71 +384,6 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__
 
 
-# --- damaged files -------------------------------------------------------------------------------------------------
-
-_FOOTER, _MESSAGE, _CHUNK, _METADATA, _METADATA_INDEX = 0x02, 0x05, 0x06, 0x0C, 0x0D  # opcodes of MCAP records
-
-
-def _records(stream: BinaryIO, start: int, wanted: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of the wanted MCAP records in the order of the file, as far as they are complete."""
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(start)
-    while len(head := stream.read(9)) == 9:
-        opcode, length = struct.unpack("<BQ", head)
-        end = stream.tell() + length
-        if not opcode or end > size:
-            return
-        if opcode in wanted:
-            yield opcode, stream.read(length)
-        stream.seek(end)
-
-
-def _strings(content: bytes) -> Iterator[str]:
-    """The length-prefixed strings that make up a record."""
-    while content:
-        (size,) = struct.unpack_from("<I", content)
-        yield content[4 : 4 + size].decode()
-        content = content[4 + size :]
-
-
-def _embedded_metadata(source: Path) -> dict[str, Any]:
-    """The copy of metadata.yaml's custom data that an MCAP file carries; empty if it carries none.
-
-    Raises ValueError if there should be a copy and there is none, or another exception if it cannot be decoded.
-    """
-    files = [source] if source.is_file() else sorted(source.glob("*.mcap"))
-    if not files or files[0].suffix != ".mcap":
-        return {}
-    with files[0].open("rb") as stream:
-        for opcode, content in _records(stream, 8, (_METADATA, _METADATA_INDEX, _FOOTER)):
-            if opcode == _METADATA and content[4:11] == b"rosbag2":  # name; then the map: its size, keys and values
-                key, text, *_ = _strings(content[15:])
-                information = YAML(typ="safe").load(text)
-                if key == "serialized_metadata" and ("custom_data" in information or information["version"] < 6):
-                    return dict(information.get("custom_data") or {})
-            elif opcode == _FOOTER:
-                return {}
-            elif opcode == _METADATA_INDEX and content[20:27] == b"rosbag2":  # offset, length, name
-                break
-    raise ValueError("its copy of the metadata cannot be found")
-
-
-def _intact_messages(source: Path) -> int:
-    """How many messages lie before the first damage of a bag's MCAP files."""
-    count = 0
-    for file in [source] if source.is_file() else sorted(source.glob("*.mcap")):
-        with suppress(Exception), file.open("rb") as stream:  # the damage: what was counted before it stands
-            for opcode, content in _records(stream, 8, (_CHUNK, _MESSAGE)):
-                if opcode == _CHUNK:
-                    size, crc, name = struct.unpack_from("<QII", content, 16)
-                    compression, packed = content[32 : 32 + name].decode(), content[40 + name :]
-                    chunk = BytesIO(decompress(packed, compression, size, crc))
-                    count += sum(1 for _ in _records(chunk, 0, (_MESSAGE,)))
-                else:
-                    count += 1
-    return count
-
-
 # --- command line --------------------------------------------------------------------------------------------------
 
 
@@ -450,6 +393,9 @@ def describe(flight: Flight) -> str:
     words = {key: flight.metadata.get(key, "-") for key in ("scenario", "version", "seed")}
     lines = [f"{'bag':<10} {flight.path}", f"{'origin':<10} {origin[flight.metadata['origin']]}"]
     lines += [f"{key:<10} {value}" for key, value in words.items()]
+    if isinstance(recovered := flight.metadata.get("recovered"), dict):
+        lines.append(f"{'recovered':<10} from {recovered.get('from')}, {recovered.get('damaged_bytes')} bytes damaged")
+        lines[-1] += "" if recovered.get("finished") else ", without the end of the recording"
     lines += [f"{'duration':<10} {flight.duration:.2f} s", f"{'events':<10} {len(flight.events)}"]
     lines += [f"{'refit':<10} {flight.why_not_refit() or 'possible'}", ""]
     width = max(len(info.topic) for info in flight.topics)
@@ -470,7 +416,7 @@ def describe(flight: Flight) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: ``info BAG``. Returns the exit code: 0, or 2 with one line on stderr."""
+    """Command line: ``info BAG``, ``recover BAG``. Returns the exit code: 0, or 2 with one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m fiplib.bags", description="Look into recorded flights.")
     commands = parser.add_subparsers(dest="command", required=True)
     info = commands.add_parser("info", help="say what a bag holds, and check it")
@@ -478,9 +424,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     info.add_argument(
         "--topic", action="append", default=[], metavar="ROLE=NAME", help=f"remap a topic; roles: {', '.join(ROLES)}"
     )
+    rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
+    rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
+    rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
     options = parser.parse_args(arguments)
     try:
-        print(describe(read(options.bag, dict(pair.partition("=")[::2] for pair in options.topic))))
+        if options.command == "info":
+            print(describe(read(options.bag, dict(pair.partition("=")[::2] for pair in options.topic))))
+        else:
+            print(recover(options.bag, options.output).describe())
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -10,7 +10,7 @@ import struct
 import sys
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
@@ -93,6 +93,8 @@ TOPICS = {role: entry.topic for role, entry in ROLES.items()}
 """Default topic of each role."""
 
 ORIGINS = ("simulated", "real", "unknown")
+SIDECAR = "recording.yaml"
+"""File in which a bag, while it is being recorded live, says what its metadata.yaml says once it is finished."""
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Severity of an event: the constants of rcl_interfaces/Log."""
 
@@ -173,12 +175,49 @@ def checksum(entries: Mapping[str, str]) -> str:
     return f"{zlib.crc32(json.dumps(entries, sort_keys=True).encode()):08x}"
 
 
+def genuine(entries: Mapping[str, Any]) -> bool:
+    """Whether a bag's metadata entries are as they were recorded; those of other recorders carry no checksum."""
+    rest = {key: value for key, value in entries.items() if key != "checksum"}
+    if "checksum" not in entries:
+        return "messages" not in rest  # ours never come without
+    return entries["checksum"] == checksum(rest)
+
+
+def open_bag(path: Path) -> Writer:
+    """The library's writer of a new MCAP bag. Raises BagError if it cannot be written there."""
+    try:
+        # Version 8 of metadata.yaml is read by ROS 2 Humble, Iron, Jazzy and later alike.
+        writer = Writer(path, version=8, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer.open()
+    except (WriterError, OSError) as error:
+        raise BagError(
+            f"{path}: cannot record here ({error}); choose another path, or move the old bag away"
+        ) from error
+    # The library leaves the CRC of a chunk empty: let zstd carry one, so that every reader notices a damaged byte.
+    options = {zstd.CompressionParameter.checksum_flag: 1}
+    writer.storage.compressor = functools.partial(zstd.compress, options=options)
+    return writer
+
+
+def close_bag(writer: Writer, entries: Mapping[str, str], counts: Mapping[str, int]) -> None:
+    """Write index and metadata: the entries, and how many messages each topic must hold. Raises BagError."""
+    entries = {**entries, "messages": json.dumps(dict(sorted(counts.items())))}
+    for key, value in {**entries, "checksum": checksum(entries)}.items():
+        writer.set_custom_data(key, value)
+    try:
+        writer.close()
+    except OSError as error:
+        raise BagError(f"{writer.path}: cannot finish the bag ({error})") from error
+
+
 class Recorder:
     """Writes one flight as a ROS 2 bag (a directory with one MCAP file and metadata.yaml); a context manager.
 
     Stamps are int nanoseconds, from 0 (or the epoch) on. Messages are written in the order of their log time: for a
     pose the time it was received, else the stamp. The same calls write the same bytes. Leaving the ``with`` block by
     an exception closes the bag properly too, with an event that says so: a flight that ended badly is worth reading.
+    It stops for as long as the disk takes: ``live.LiveRecorder`` is the one for real time.
 
     Args:
         path: the directory to create.
@@ -210,18 +249,10 @@ class Recorder:
         self._pending: list[tuple[int, str, bytes]] = []
         self._counts: Counter[str] = Counter()
         self._last = 0
-        try:
-            # Version 8 of metadata.yaml is read by ROS 2 Humble, Iron, Jazzy and later alike.
-            self._writer = Writer(self.path, version=8, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
-        except (WriterError, OSError) as error:
-            raise BagError(
-                f"{path}: cannot record here ({error}); choose another path, or move the old bag away"
-            ) from error
-        # The library leaves the CRC of a chunk empty: let zstd carry one, so that every reader notices a damaged byte.
-        options = {zstd.CompressionParameter.checksum_flag: 1}
-        self._writer.storage.compressor = functools.partial(zstd.compress, options=options)
+        self._open()
+
+    def _open(self) -> None:
+        self._writer = open_bag(self.path)
 
     def pose(
         self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
@@ -295,27 +326,22 @@ class Recorder:
         ready = self._pending[: len(self._pending) - keep]
         del self._pending[: len(ready)]
         try:
-            for log_time, role, data in ready:
-                if role not in self._connections:
-                    entry = ROLES[role]
-                    self._connections[role] = self._writer.add_connection(
-                        entry.topic, entry.type, typestore=typestore()
-                    )
-                self._writer.write(self._connections[role], log_time, data)
-                self._counts[ROLES[role].topic] += 1
+            self._write(ready)
         except OSError as error:
             raise BagError(f"{self.path}: cannot write any further ({error})") from error
+
+    def _write(self, messages: Iterable[tuple[int, str, bytes]]) -> None:
+        for log_time, role, data in messages:
+            if role not in self._connections:
+                entry = ROLES[role]
+                self._connections[role] = self._writer.add_connection(entry.topic, entry.type, typestore=typestore())
+            self._writer.write(self._connections[role], log_time, data)
+            self._counts[ROLES[role].topic] += 1
 
     def close(self) -> None:
         """Write what is pending, the index and the metadata."""
         self._flush(0)
-        entries = {**self._metadata, "messages": json.dumps(dict(sorted(self._counts.items())))}
-        for key, value in {**entries, "checksum": checksum(entries)}.items():
-            self._writer.set_custom_data(key, value)
-        try:
-            self._writer.close()
-        except OSError as error:
-            raise BagError(f"{self.path}: cannot finish the bag ({error})") from error
+        close_bag(self._writer, self._metadata, self._counts)
 
     def __enter__(self) -> Self:
         return self
