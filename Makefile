@@ -25,16 +25,29 @@ reads_table1-parameters :=
 reads_table2-software :=
 reads_table3-convergence := estimate-0.8 estimate-1.2 estimate-1.4
 reads_table4-estimators :=
+reads_fig11-handover :=
+reads_table5-seeds :=
+reads_table6-readings :=
+reads_table7-weights :=
+reads_table8-handover :=
+reads_table9-landscapes :=
+reads_table10-rates :=
 
 # The tables of studies (`make sweep`) that some of them read, from data/sweeps/.
 studies_fig7-survival := survival
 studies_fig8-landscapes := landscape_curves
 studies_fig9-estimators := estimators
 studies_table4-estimators := estimators
-studies_claims := ledger_seeds length_jumps
+studies_fig11-handover := handover
+studies_table5-seeds := ledger_seeds
+studies_table6-readings := ledger_seeds ledger_readings
+studies_table7-weights := weights
+studies_table8-handover := handover
+studies_table9-landscapes := landscapes
+studies_claims := ledger_seeds length_jumps estimators weights handover
 
-FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals
-TABLES := table1-parameters table2-software table3-convergence table4-estimators
+FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover
+TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates
 SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
 
 bag_files = $(foreach name,$(1),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
@@ -58,17 +71,26 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test bags sweep bench paper latex lint lab clean
+.PHONY: help figures test notebooks lab book bags sweep bench paper latex lint clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-8s  %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-9s  %s\n", $$1, $$2 }' Makefile
 
 figures: $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) ## make every figure and table of the paper, and print the claims ledger
 	@cat figures/claims.txt
 
-test: .venv/installed ## run the tests, on every core
-	@$(PY) -m pytest -n auto
+test: .venv/installed ## run the tests, and the notebooks with small settings, on every core
+	@FIP_FAST=1 $(PY) -m pytest -n auto --nbmake notebooks tests
+
+notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
+	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
+
+lab: .venv/installed ## open JupyterLab on the first notebook
+	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb
+
+book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
+	@$(PY) docs/book.py
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	cd data && $(SHA256) $(foreach name,$(sort $(SCENARIOS)),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
@@ -95,12 +117,9 @@ lint: .venv/installed ## check style, format and stripped notebooks
 	$(PY) -m ruff format --check .
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
 
-lab: .venv/installed ## open JupyterLab
-	$(PY) -m jupyterlab
-
 clean: ## remove what was made; data/ and .venv stay
-	rm -rf figures paper/build paper/generated .pytest_cache .ruff_cache .hypothesis
-	find fiplib scripts tests benchmarks -name __pycache__ -exec rm -rf {} +
+	rm -rf figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
+	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
 # last, so an interrupted step starts afresh.
@@ -130,6 +149,7 @@ figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
 	@mkdir -p figures
 	$(PY) -m fiplib.figures table$*
 
+figures/table10-rates.csv figures/table10-rates.tex: benchmarks/sweep_rates.csv
 $(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv $(call table_files,$(studies_claims))
 $(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
 $(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))

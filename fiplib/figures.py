@@ -19,7 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fiplib import bags, claims, findings, journal, measures, tables
+from fiplib import bags, claims, findings, journal, measures, summaries, tables
 from fiplib.bags import BagError, Flight
 from fiplib.params import STATES, Params
 from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, STYLE, origin
@@ -155,11 +155,18 @@ def fig6_convergence(*flights: Flight) -> Figure:
 
 
 class Product(NamedTuple):
-    """What makes a figure or table: it is given the flights of ``bags``, then the tables of ``studies``, in order."""
+    """What makes a figure or table: it is given the flights of ``bags``, then the tables of ``studies``, then those of
+    ``benchmarks``, in order."""
 
     make: Callable[..., Figure | Table]
     bags: tuple[str, ...] = ()
     studies: tuple[str, ...] = ()
+    benchmarks: tuple[str, ...] = ()
+
+    @property
+    def command(self) -> str:
+        """What computes it from the beginning."""
+        return journal.command(bags=bool(self.bags), studies=self.studies, benchmarks=self.benchmarks)
 
 
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
@@ -175,22 +182,37 @@ FIGURES = {
     "fig8-landscapes": Product(findings.fig8_landscapes, studies=("landscape_curves",)),
     "fig9-estimators": Product(findings.fig9_estimators, studies=("estimators",)),
     "fig10-intervals": Product(findings.fig10_intervals, ("estimate-1.4",)),
+    "fig11-handover": Product(findings.fig11_handover, studies=("handover",)),
     "table1-parameters": Product(tables.table1_parameters),
     "table2-software": Product(tables.table2_software),
     "table3-convergence": Product(tables.table3_convergence, _ESTIMATES),
-    "table4-estimators": Product(findings.table4_estimators, studies=("estimators",)),
+    "table4-estimators": Product(summaries.table4_estimators, studies=("estimators",)),
+    "table5-seeds": Product(summaries.table5_seeds, studies=("ledger_seeds",)),
+    "table6-readings": Product(summaries.table6_readings, studies=("ledger_seeds", "ledger_readings")),
+    "table7-weights": Product(summaries.table7_weights, studies=("weights",)),
+    "table8-handover": Product(summaries.table8_handover, studies=("handover",)),
+    "table9-landscapes": Product(summaries.table9_landscapes, studies=("landscapes",)),
+    "table10-rates": Product(summaries.table10_rates, benchmarks=("sweep_rates",)),
 }
 """Every figure and table by name."""
 
 
 def make(name: str, data: Path = Path("data")) -> Figure | Table:
-    """Make one figure or table from the bags in ``data``. Raises KeyError (no such name) and BagError."""
+    """Make one figure or table from the bags and tables in ``data`` and, beside it, ``benchmarks``.
+
+    Raises:
+        KeyError: no such name. BagError, JournalError, FileNotFoundError: what it is made from is not there, or broken.
+    """
     product = FIGURES[name]
     sources = [bags.read(data / bag) for bag in product.bags]
     for study in product.studies:
         if not (rows := journal.read(study, data)):
             raise FileNotFoundError(f"{data}/sweeps/{study}.csv is missing: make sweep STUDIES={study}")
         sources.append(rows)
+    for table in product.benchmarks:
+        if not (numbers := journal.quantities(data.parent / "benchmarks" / f"{table}.csv")):
+            raise FileNotFoundError(f"benchmarks/{table}.csv is missing: {journal.command(benchmarks=[table])}")
+        sources.append(numbers)
     with mpl.rc_context(STYLE):
         return product.make(*sources)
 
@@ -199,7 +221,7 @@ def write(name: str, made: Figure | Table, folder: Path) -> list[Path]:
     """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(made, Table):
-        contents = {".csv": made.csv(), ".tex": made.latex()}
+        contents = {".csv": made.csv(FIGURES[name].command), ".tex": made.latex()}
         paths = [folder / f"{name}{suffix}" for suffix in contents]
         for path, text in zip(paths, contents.values(), strict=True):
             path.write_text(text, encoding="utf-8")
@@ -317,7 +339,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.list:
         for name, product in FIGURES.items():
-            print(f"{name:20} {' '.join(product.bags + product.studies) or '(parameters only)'}")
+            sources = product.bags + product.studies + product.benchmarks
+            print(f"{name:20} {' '.join(sources) or '(parameters only)'}")
         return 0
     if unknown := [name for name in options.names if name not in FIGURES]:
         print(f"no figure {unknown[0]!r}; there are {', '.join(FIGURES)}", file=sys.stderr)
@@ -326,7 +349,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name in options.names or FIGURES:
             paths = write(name, make(name, options.data), options.output)
             print("wrote", *paths)
-    except (BagError, OSError) as error:
+    except (BagError, journal.JournalError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0

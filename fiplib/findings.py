@@ -3,9 +3,6 @@
 As in ``figures``: tables and flights in, ``Figure`` out. Nothing is simulated here; what was simulated is said.
 """
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -13,22 +10,8 @@ from numpy.typing import NDArray
 from fiplib import measures
 from fiplib.bags import Flight
 from fiplib.journal import Rows
-from fiplib.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
-from fiplib.tables import Table
-
-LABELS = {
-    "maximum_likelihood": "maximum likelihood, raw",
-    "maximum_likelihood_free": "the same, inertia and lag unknown",
-    "ga": "GA, printed settings",
-    "ga_improved": "GA, more exploration",
-    "grid": "exhaustive search",
-    "scalar": "scalar search (SciPy)",
-    "ekf": "EKF, joint state",
-    "ukf": "UKF, joint state",
-    "moving_horizon": "moving horizon",
-    "recursive_least_squares": "recursive least squares",
-    "concurrent_learning": "concurrent learning",
-}
+from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
+from fiplib.summaries import LABELS, SHOWN_READINGS, pooled
 
 
 def fig7_survival(rows: Rows) -> Figure:
@@ -62,12 +45,8 @@ def fig8_landscapes(curves: Rows) -> Figure:
     """Fig. 8: what four readings of the fitness say about every length, on one and the same window."""
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    shown = {
-        "printed_posterior": ("as printed", ORANGE, "-"),
-        "rk4_posterior": ("posterior residual", PURPLE, "--"),
-        "rk4_prior": ("prior residual", GREEN, "-."),
-        "rk4_likelihood": ("likelihood", BLUE, "-"),
-    }
+    looks = zip((ORANGE, PURPLE, GREEN, BLUE), ("-", "--", "-.", "-"), strict=True)
+    shown = {reading: (label, *look) for (reading, label), look in zip(SHOWN_READINGS.items(), looks, strict=True)}
     titles = {"default": "calibrated covariances", "identity": "$Q_e = R_e = I$"}
     for axes, (noise, title) in zip(panels, titles.items(), strict=True):
         for reading, (label, colour, dashes) in shown.items():
@@ -94,10 +73,8 @@ def fig9_estimators(rows: Rows) -> Figure:
     names = list(LABELS)
     for ratio, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
         chosen = [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == ratio]
-        pooled = [_pooled(chosen, name) for name in names]
-        axes.plot(
-            [found.rms / found.bound for found in pooled], range(len(names)), marker, color=colour, ms=4, label=label
-        )
+        found = [pooled(chosen, name) for name in names]
+        axes.plot([one.rms / one.bound for one in found], range(len(names)), marker, color=colour, ms=4, label=label)
     axes.axvline(1.0, color="black", lw=0.6)
     axes.axvline(1.2, color="black", lw=0.6, ls="--", label="target, 1.2")
     axes.set(yticks=range(len(names)), yticklabels=[LABELS[name] for name in names])
@@ -139,38 +116,25 @@ def _estimates(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
     return tuple(np.array(found).T)
 
 
-def table4_estimators(rows: Rows) -> Table:
-    """Table 4: every estimator on the 0.4 m circle with a uniform rod, pooled over the windows of all flights."""
-    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
-    lines = []
-    for name, label in LABELS.items():
-        found = _pooled(chosen, name)
-        covered = "--" if math.isnan(found.covered) else f"{100 * found.covered:.1f}"
-        lines.append((
-            label, f"{found.windows}", f"{1e3 * found.bias:.2f}", f"{1e3 * found.rms:.2f}",
-            f"{found.rms / found.bound:.2f}", covered,
-        ))  # fmt: skip
-    header = ("Estimator", "Windows", "Bias (mm)", "RMSE (mm)", "RMSE / bound", r"In 95\,\% interval (\%)")
-    return Table(header, lines, "lrrrrr")
-
-
-class Pooled(NamedTuple):
-    """An estimator over many windows: how many were answered, mean and RMS error and RMS bound in m, and the share of
-    95 % intervals that cover the truth (nan where none is stated)."""
-
-    windows: int
-    bias: float
-    rms: float
-    bound: float
-    covered: float
-
-
-def _pooled(rows: Rows, name: str) -> Pooled:
-    answered = [row for row in rows if row[f"n_{name}"] > 0]
-    if not answered:
-        return Pooled(0, math.nan, math.nan, math.nan, math.nan)
-    columns = ("n", "bias", "rms", "bound", "covered")
-    n, bias, rms, bound, covered = np.array([[row[f"{column}_{name}"] for column in columns] for row in answered]).T
-    total = n.sum()
-    squares = (float(np.sqrt(n @ values**2 / total)) for values in (rms, bound))
-    return Pooled(int(total), float(n @ bias / total), *squares, float(covered.sum() / total))
+def fig11_handover(rows: Rows) -> Figure:
+    """Fig. 11: random rods and first lengths: who stays up, as printed and with the trusted hand-over."""
+    figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
+    for axes, policy, title in zip(panels, ("printed", "trusted"), ("as printed", "trusted"), strict=True):
+        flown = [row for row in rows if row["policy"] == policy]
+        up = [row for row in flown if row["survived"] == 1]
+        fell = [row for row in flown if row["survived"] != 1 and row["index"] in told]
+        hopeless = [row for row in flown if row["survived"] != 1 and row["index"] not in told]
+        for some, marker, size, colour, label in (
+            (up, ".", 2.0, BLUE, "stays up"),
+            (fell, "x", 3.5, ORANGE, "falls"),
+            (hopeless, "+", 4.0, GREY, "falls when told, too"),
+        ):
+            points = np.array([(row["initial_length"], row["true_length"]) for row in some]).reshape(-1, 2)
+            axes.plot(*points.T, marker, ms=size, mew=0.8, color=colour, label=label if some else None)
+        axes.set(title=f"{title}: {len(up)} of {len(flown)} up", xlabel="first length (m)", xlim=(0.37, 1.63))
+    panels[0].set(ylabel="true length (m)", ylim=(0.45, 1.55))
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    origin(figure, "simulated flights of 12 s, uniform rods")
+    return figure

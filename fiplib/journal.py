@@ -32,7 +32,33 @@ def _number(value: str) -> float | str:
 
 
 class JournalError(Exception):
-    """A table on disk that does not belong to the study, in one line for its user."""
+    """A table on disk that is not what it should be, in one line for its user."""
+
+
+BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py"}
+"""The tables of ``benchmarks/``, each with the script there that writes it when called with ``--save``."""
+
+
+def command(*, bags: bool = False, studies: Sequence[str] = (), benchmarks: Sequence[str] = ()) -> str:
+    """What computes a result from the beginning: the flights, studies and measured times that it is made of, itself."""
+    steps = ["make bags"] if bags else []
+    steps += [f"make sweep STUDIES='{' '.join(studies)}'"] if studies else []
+    steps += [f"python benchmarks/{BENCHMARKS[table]} --save" for table in benchmarks]
+    return "; ".join([*steps, "make figures"])
+
+
+def quantities(path: Path) -> dict[str, float]:
+    """Numbers by name from a benchmark's table of two columns; empty if there is no such file. Raises JournalError."""
+    if not path.exists():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            next(lines := csv.reader(file))
+            return {name: float(value) for name, value in lines}
+    except (StopIteration, ValueError) as error:
+        raise JournalError(
+            f"{path}: needs a header and rows of a name and a number ({error}); measure again"
+        ) from error
 
 
 def text(value: Any) -> str:

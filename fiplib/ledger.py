@@ -14,11 +14,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
-from fiplib import bags, journal
+from fiplib import bags, journal, summaries
 from fiplib.bags import BagError, Flight
-from fiplib.claims import CLAIMS, Claim, Verdict
+from fiplib.claims import BY_ID, CLAIMS, Claim, Verdict
 from fiplib.journal import Rows
 from fiplib.params import Params
 
@@ -38,13 +39,13 @@ class Row(NamedTuple):
 
 
 def evaluate(data: Path = Path("data"), benchmarks: Path = Path("benchmarks")) -> list[Row]:
-    """Judge every claim on the bags in ``data`` and the tables in ``benchmarks``. Raises BagError."""
+    """Judge every claim on the bags in ``data`` and the tables in ``benchmarks``. Raises BagError and JournalError."""
     sources: dict[str, Flight | Mapping[str, float] | Rows] = {}
     for name in dict.fromkeys(name for claim in CLAIMS for name in claim.bags):
         if name.startswith("sweeps/"):
             sources[name] = journal.read(name.removeprefix("sweeps/"), data)
         else:
-            sources[name] = _table(benchmarks / name) if name.endswith(".csv") else bags.read(data / name)
+            sources[name] = journal.quantities(benchmarks / name) if name.endswith(".csv") else bags.read(data / name)
     return [judged(claim, [sources[name] for name in claim.bags]) for claim in CLAIMS]
 
 
@@ -62,22 +63,20 @@ def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows])
     return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)
 
 
-def _table(path: Path) -> Mapping[str, float]:
-    """Numbers by name from a CSV with the columns quantity and value_us; empty if there is no such file."""
-    if not path.exists():
-        return {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return {entry["quantity"]: float(entry["value_us"]) for entry in csv.DictReader(file)}
-    except (KeyError, ValueError, TypeError) as error:
-        raise BagError(f"{path}: needs the columns quantity and value_us ({error!r}); measure again") from error
-
-
 def as_csv(rows: Sequence[Row]) -> str:
-    """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag."""
+    """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag, command."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([Row._fields[:-1], *(row[:-1] for row in rows)])
+    lines = [(*Row._fields[:-1], "command"), *((*row[:-1], command(BY_ID[row.id])) for row in rows)]
+    csv.writer(text, lineterminator="\n").writerows(lines)
     return text.getvalue()
+
+
+def command(claim: Claim) -> str:
+    """What computes a claim's row from the beginning."""
+    studies = [name.removeprefix("sweeps/") for name in claim.bags if name.startswith("sweeps/")]
+    benchmarks = [name.removesuffix(".csv") for name in claim.bags if name.endswith(".csv")]
+    flown = len(claim.bags) > len(studies) + len(benchmarks)
+    return journal.command(bags=flown, studies=studies, benchmarks=benchmarks)
 
 
 WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
@@ -124,9 +123,9 @@ def counted(rows: Sequence[Row]) -> dict[str, int]:
     return {str(kind): count[kind] for kind in Verdict}
 
 
-def macros(rows: Sequence[Row], params: Params) -> dict[str, str]:
+def macros(rows: Sequence[Row], params: Params, facts: Mapping[tuple[str, ...], str]) -> dict[str, str]:
     """Every number of the report by name: Paper, Ours, Verdict + row; Fact + row + name; Count + name of a verdict;
-    Param + group + field for each finite scalar parameter, with a few derived ones."""
+    Param + group + field for each finite scalar parameter, with a few derived ones; Study + names of ``facts``."""
     values = {
         (group, name): value
         for group, fields in params.to_dict().items()
@@ -143,6 +142,7 @@ def macros(rows: Sequence[Row], params: Params) -> dict[str, str]:
         named |= {macro(kind, row.id): getattr(row, kind.lower()) for kind in ("Paper", "Ours", "Verdict")}
         named |= {macro("Fact", row.id, name): text for name, text in row.facts.items()}
     named |= {macro("Count", kind): str(count) for kind, count in {"rows": len(rows), **counted(rows)}.items()}
+    named |= {macro("Study", *words): text for words, text in facts.items()}
     return {name: text for name, text in named.items() if text}
 
 
@@ -153,9 +153,11 @@ def macro(*words: str) -> str:
     return "".join(digits[int(part)] if part.isdigit() else part[0].upper() + part[1:] for part in parts)
 
 
-def write(rows: Sequence[Row], figures: Path, generated: Path) -> list[Path]:
+def write(
+    rows: Sequence[Row], figures: Path, generated: Path, facts: Mapping[tuple[str, ...], str] = MappingProxyType({})
+) -> list[Path]:
     """Write claims.csv and claims.txt into ``figures``, numbers.tex and claims-table.tex into ``generated``."""
-    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params()).items()]
+    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params(), facts).items()]
     contents = {
         figures / "claims.csv": as_csv(rows),
         figures / "claims.txt": as_text(rows),
@@ -177,8 +179,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder for the LaTeX files")
     options = parser.parse_args(arguments)
     try:
-        print("wrote", *write(evaluate(options.data, options.benchmarks), options.figures, options.generated))
-    except (BagError, OSError) as error:
+        facts = summaries.facts({study: journal.read(study, options.data) for study in summaries.FACTS})
+        rows = evaluate(options.data, options.benchmarks)
+        print("wrote", *write(rows, options.figures, options.generated, facts))
+    except (BagError, journal.JournalError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

@@ -13,7 +13,9 @@ what is of second order. Three facts make the fit short and fast:
 
 - The tilt follows from the commands through the known delay and lag, the thrust likewise; two unknowns per axis (tilt
   and body rate at the first frame) remain. Both are known so well from the attitude alone that u may be linearised.
-- d and the kinematic map need the trajectory only roughly: a local polynomial through the measurements serves.
+- d and the kinematic map need the trajectory only roughly: a local polynomial through the measurements serves. Over
+  2.5 s, for which this is made and measured, its error is far below the noise; it does not shrink as windows grow, and
+  from 5 s on the stated deviation is too small (notebook 08 shows it).
 - Given the length, all else is then linear in six unknowns per axis, solved by QR (variable projection). The unstable
   mode is integrated backwards in time, so nothing grows: windows of any length are well conditioned.
 

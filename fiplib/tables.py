@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -12,21 +13,32 @@ from fiplib.params import STATES, Params
 
 
 class Table(NamedTuple):
-    """A table as text: ``header`` and ``rows`` go to CSV and, with ``alignment``, to a LaTeX tabular."""
+    """A table as text: ``header`` and ``rows`` go to CSV, without markup, and with ``alignment`` to a LaTeX tabular."""
 
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
     alignment: str
 
-    def csv(self) -> str:
+    def csv(self, command: str) -> str:
+        """As CSV; a last column holds the command that computes the rows from the beginning."""
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([self.header, *self.rows])
+        rows = [(*self.header, "Command"), *((*row, command) for row in self.rows)]
+        csv.writer(text, lineterminator="\n").writerows([plain(cell) for cell in row] for row in rows)
         return text.getvalue()
 
     def latex(self) -> str:
         lines = [" & ".join(row) + r" \\" for row in (self.header, *self.rows)]
         body = "\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"])
         return f"\\begin{{tabular}}{{{self.alignment}}}\n{body}\n\\end{{tabular}}\n"
+
+
+def plain(cell: str) -> str:
+    """A cell without LaTeX markup: ``$-$0.5`` is -0.5, ``$l_0$`` is l_0."""
+    for markup, text in {r"\,": " ", r"\%": "%", r"\times": "*", "$": ""}.items():
+        cell = cell.replace(markup, text)
+    cell = re.sub(r"\\dot (\w)", r"\1_dot", cell)
+    cell = re.sub(r"\\math\w+\{(\w+)\}", r"\1", cell)
+    return re.sub(r"\\([a-z]+)", r"\1", cell)
 
 
 def table1_parameters() -> Table:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiplib import bags, claims, ga, kalman, ledger, measures
+from fiplib import bags, claims, ga, journal, kalman, ledger, measures
 from fiplib.bags import BagError, Event, Flight, Poses, Series
 from fiplib.claims import Verdict
 from fiplib.dynamics import prediction_model, rk4
@@ -19,7 +19,7 @@ from fiplib.pilot import Circle
 ROOT = Path(__file__).parents[1]
 RATE = 120
 LEDGER = ("D1", "D2", "D3", "C1", "C2", "C3", "G1", "G2", "G3", "G4", "G5", "G6", "R1")
-COLUMNS = ["id", "claim", "paper", "ours", "unit", "reading", "verdict", "bag"]
+COLUMNS = ["id", "claim", "paper", "ours", "unit", "reading", "verdict", "bag", "command"]
 TICK = 1 / RATE + 1e-9
 """A time read off sampled states is right to one sample."""
 
@@ -408,10 +408,10 @@ def test_real_time_is_read_off_the_benchmark_and_open_without_it(tmp_path):
     assert claims.solve_time(8.33, {}).verdict is Verdict.OPEN
     assert claims.solve_time(8.33, {claims.SOLVE_TIME: 500.0})[:2] == (0.5, Verdict.STATED)
     assert claims.solve_time(8.33, {claims.SOLVE_TIME: 9000.0}).verdict is Verdict.NOT
-    assert ledger._table(tmp_path / "none.csv") == {}
+    assert journal.quantities(tmp_path / "none.csv") == {}
     (tmp_path / "broken.csv").write_text("quantity,value_us\nmpc_p99,fast\n")
-    with pytest.raises(BagError, match=r"broken\.csv"):
-        ledger._table(tmp_path / "broken.csv")
+    with pytest.raises(journal.JournalError, match=r"broken\.csv"):
+        journal.quantities(tmp_path / "broken.csv")
 
 
 # --- the ledger
@@ -453,8 +453,10 @@ def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(judged_rows):
         assert row["claim"] and row["unit"] and row["reading"], row["id"]
         assert all(math.isfinite(float(row[column] or 0)) for column in ("paper", "ours")), row["id"]
         names = claims.BY_ID[row["id"]].bags
-        flown = [name for name in names if not name.endswith(".csv")]
-        assert row["bag"] == ", ".join(names) + (" (simulated)" if flown else "")
+        simulated = [name for name in names if not name.endswith(".csv")]
+        assert row["bag"] == ", ".join(names) + (" (simulated)" if simulated else "")
+        assert row["command"].endswith("make figures")
+        assert ("make bags" in row["command"]) == any("/" not in name for name in simulated)
 
 
 def test_the_text_fits_a_wide_terminal_and_holds_every_row(judged_rows):
@@ -472,8 +474,9 @@ def test_the_latex_table_is_a_tabular_of_as_many_rows(judged_rows):
 
 
 def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(judged_rows):
-    macros = ledger.macros(judged_rows, Params())
+    macros = ledger.macros(judged_rows, Params(), {("handover", "trusted", "up"): "500"})
     assert macros["PaperGOneTime"] == "14.68"
+    assert macros["StudyHandoverTrustedUp"] == "500"
     assert macros["ParamPendulumInertiaFactor"] == "0.75"
     assert sum(int(text) for name, text in macros.items() if name.startswith("Count")) == 2 * len(judged_rows)
     for name, text in macros.items():

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fiplib import figures
+from fiplib import figures, tables
 from fiplib.tables import Table
 
 ROOT = Path(__file__).parent.parent
@@ -29,8 +29,8 @@ TABLES = [name for name in figures.FIGURES if name.startswith("table")]
 
 
 def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
-    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 11)]
-    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 5)]
+    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 12)]
+    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 11)]
 
 
 @pytest.mark.parametrize("name", figures.FIGURES)
@@ -96,12 +96,14 @@ def test_every_axis_has_a_label_with_its_unit(name, made):
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_is_the_same_in_csv_and_latex(name, made):
     table = made[name]
-    rows = list(csv.reader(io.StringIO(table.csv())))
-    assert {len(row) for row in rows} == {len(table.alignment)}
+    header, *rows = csv.reader(io.StringIO(table.csv("make figures")))
+    assert {len(row) for row in rows} == {len(table.alignment) + 1}
+    assert header[-1] == "Command" and {row[-1] for row in rows} == {"make figures"}
     body = [line for line in table.latex().splitlines() if line.endswith(r"\\")]
-    assert [[cell.strip() for cell in line.removesuffix(r" \\").split(" & ")] for line in body] == [
-        [cell.strip() for cell in row] for row in rows
+    assert [[tables.plain(cell.strip()) for cell in line.removesuffix(r" \\").split(" & ")] for line in body] == [
+        [cell.strip() for cell in row[:-1]] for row in (header, *rows)
     ]
+    assert not any(mark in cell for row in (header, *rows) for cell in row for mark in "$\\{}")
 
 
 @pytest.mark.parametrize(
@@ -122,3 +124,8 @@ def test_list_names_each_figure_with_its_bags(capsys):
     listed = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     assert list(listed) == list(figures.FIGURES)
     assert "push-hover" in listed["fig3-pushes"]
+
+
+def test_markup_is_taken_out_of_cells():
+    cells = {r"$-$0.5": "-0.5", r"5\,\%": "5 %", r"$Q$, $\dot x$": "Q, x_dot", r"$l_\mathrm{min}$": "l_min"}
+    assert {cell: tables.plain(cell) for cell in cells} == cells

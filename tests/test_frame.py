@@ -91,13 +91,21 @@ def test_the_lock_satisfies_what_the_library_the_tests_and_the_sweeps_need():
         assert version in requirement.specifier, f"{requirement} is not served by the locked {version}"
 
 
-def test_the_conda_environment_takes_the_same_python_and_the_same_packages():
+def test_the_conda_environment_takes_a_python_that_we_support_and_the_same_packages():
     environment = YAML(typ="safe").load(ROOT / "environment.yml")
     python, pip, packages = environment["dependencies"]
     assert environment["name"] == PROJECT["name"]
-    assert Requirement(python) == Requirement(f"python{PROJECT['requires-python']}")
+    version = re.fullmatch(r"python=(3\.\d+)", python)[1]  # a single one: Binder reads no range
+    assert version in Requirement(f"python{PROJECT['requires-python']}").specifier
     assert pip == "pip"
     assert packages == {"pip": ["--requirement requirements.lock"]}
+
+
+def test_binder_installs_the_library_as_make_does():
+    command = "pip install --no-deps --no-build-isolation --editable ."
+    assert command in (ROOT / "postBuild").read_text()
+    assert command in MAKEFILE.replace("--disable-pip-version-check --quiet ", "")
+    assert not (ROOT / "binder").exists()  # with such a folder Binder would not look at environment.yml here
 
 
 def test_the_citation_names_this_package_its_version_and_the_paper():
@@ -122,10 +130,11 @@ def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
 
 def test_make_knows_which_bags_and_studies_the_ledger_is_judged_on():
     from fiplib.claims import CLAIMS
+    from fiplib.summaries import FACTS
 
     sources = {source for claim in CLAIMS for source in claim.bags if not source.endswith(".csv")}
     studies = {source.removeprefix("sweeps/") for source in sources if source.startswith("sweeps/")}
-    assert studies == set(words("studies_claims :="))
+    assert studies | set(FACTS) == set(words("studies_claims :="))
     assert {source for source in sources if not source.startswith("sweeps/")} <= set(words("SCENARIOS :="))
 
 

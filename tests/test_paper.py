@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fiplib import claims, figures, ledger, measures
+from fiplib import claims, figures, journal, ledger, measures, summaries
 from fiplib.params import Params
 
 ROOT = Path(__file__).parents[1]
@@ -112,6 +112,11 @@ def judged_rows() -> list[ledger.Row]:
         return ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
 
 
+@pytest.fixture(scope="module")
+def facts() -> dict[tuple[str, ...], str]:
+    return summaries.facts({study: journal.read(study, ROOT / "data") for study in summaries.FACTS})
+
+
 # --- the report
 
 
@@ -119,8 +124,8 @@ def test_no_number_in_the_report_is_typed_by_hand(report):
     assert typed_numbers(report) == []
 
 
-def test_every_macro_of_the_report_is_generated(report, judged_rows):
-    assert undefined_macros(report, ledger.macros(judged_rows, Params())) == set()
+def test_every_macro_of_the_report_is_generated(report, judged_rows, facts):
+    assert undefined_macros(report, ledger.macros(judged_rows, Params(), facts)) == set()
 
 
 def test_every_citation_has_its_entry_and_every_entry_is_cited(report):
@@ -220,7 +225,7 @@ def test_a_missing_citation_figure_input_or_label_is_found():
 
 
 @pytest.mark.skipif(shutil.which("latexmk") is None, reason="the report needs LaTeX with latexmk; see make latex")
-def test_the_report_is_typeset_twice_to_the_same_bytes_without_a_missing_piece(report, judged_rows, tmp_path):
+def test_the_report_is_typeset_twice_to_the_same_bytes_without_a_missing_piece(report, judged_rows, facts, tmp_path):
     classes = subprocess.run(["kpsewhich", "elsarticle.cls", "siunitx.sty"], capture_output=True, text=True)
     if len(classes.stdout.split()) < 2:
         pytest.skip("LaTeX is here but not elsarticle and siunitx; see make latex")
@@ -229,7 +234,7 @@ def test_the_report_is_typeset_twice_to_the_same_bytes_without_a_missing_piece(r
         figures.write(name, figures.make(name, ROOT / "data"), tmp_path / "figures")
     paper = tmp_path / "paper"
     shutil.copytree(PAPER, paper, ignore=shutil.ignore_patterns("build", "generated"))
-    ledger.write(judged_rows, tmp_path / "figures", paper / "generated")
+    ledger.write(judged_rows, tmp_path / "figures", paper / "generated", facts)
     pages = []
     for folder in ("first", "second"):
         # as the Makefile does, but with the environment spelled out

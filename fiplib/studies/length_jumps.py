@@ -12,11 +12,11 @@ What steps can and cannot do:
   after steps; and for a point mass at 0.2 m. At 1.6 m the oscillation grows too slowly to be seen in 15 s.
 - On the short side the jump itself does harm: the gain of a triples within a tick, on the lean and the noise of that
   tick, and the commands grow threefold (``rate_ratio``). Where the linear loop is stable with a margin of a few ms, a
-  rod at 0.2 m and a point mass at 0.3 m, it falls within 2.5 s of a jump; after steps it flies on for three times as
+  rod at 0.2 m and a point mass at 0.3 m, it falls 2 to 4 s after a jump; after steps it flies on for three times as
   long or stays up.
 - An outlier that does not last is what steps are for: with 0.05 m a time 2 s lead no further than 0.5 m, and every
-  length within 0.5 m flies. At once, the short side falls before the 2 s are over; the long side is slow enough for the
-  true length to come back in time, jump or not.
+  length within 0.5 m flies. At once, 0.2 m is too short for the true length to come back in time; the long side is slow
+  enough, jump or not.
 
 144 rows, about 6 minutes of one core.
 """
