@@ -6,6 +6,7 @@ which windows another estimator would have been given.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,11 +14,13 @@ import numpy as np
 
 from fiplib.bags import BagError, Event, Flight, Poses, Series
 from fiplib.dynamics import euler_angles
+from fiplib.handover import HANDOVERS
 from fiplib.kalman import Window
 from fiplib.params import STATE_NAMES, STATES, Params
 from fiplib.pilot import (
     NANO,
     REFERENCES,
+    SAMPLERS,
     Measurement,
     Observer,
     Pilot,
@@ -146,6 +149,43 @@ def commands(flight: Flight, params: Params | None = None, follow: Reference | N
     )
 
 
+def at_recorded_rate(params: Params, command: Series) -> Params:
+    """The parameters with the control rate at which commands were recorded: their stamps know it, whoever flew.
+
+    The parameters' own rate stays where it agrees with the median step of the stamps within 2 %.
+    """
+    rate = NANO / float(np.median(np.diff(command.stamp))) if len(command.stamp) > 1 else params.piloting.control_rate
+    return (
+        params if abs(rate / params.piloting.control_rate - 1) <= 0.02 else params.replace(piloting__control_rate=rate)
+    )
+
+
+def refit(flight: Flight, params: Params | None = None) -> Flight:
+    """The flight with the lengths that an estimator finds in it now, taken over as the pilot would have.
+
+    With the parameters of the flight these are the recorded lengths, to the last bit.
+
+    Args:
+        flight: the recorded flight.
+        params: other parameters (estimator, window, hand-over) than those it was flown with.
+
+    Raises:
+        BagError: the bag cannot be refitted; the message says why.
+    """
+    params = params or flight.params
+    estimator, found = estimator_of(params), windows(flight, params)
+    overlap = SAMPLERS[estimator.kind](params).seconds / params.estimation.run_period
+    policy, seed = HANDOVERS[params.piloting.handover](params, overlap), flight.metadata.get("seed", 0)
+    stamps, rows = [flight.start_ns], [(policy.used, np.nan, np.nan)]
+    for run, (stamp, window) in enumerate(found):
+        estimate = estimator.function(window, params, np.random.default_rng([seed, run]))
+        length, deviation = estimate.length, estimate.standard_deviation
+        stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
+        rows.append((policy.update(length, deviation), length, deviation))
+    role = ROLES["length"]
+    return replace(flight, length=Series(np.array(stamps), np.array(rows), role.names, role.units))
+
+
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
     """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
 
@@ -166,7 +206,7 @@ def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
         return _raw_windows_due(flight, flight.command, params)
     known = states(flight)
     latest = np.searchsorted(known.stamp, flight.command.stamp, side="right") - 1
-    sampler, found = WindowSampler(params), []
+    sampler, found = WindowSampler(at_recorded_rate(params, flight.command)), []
     for index in np.nonzero(latest >= 0)[0]:
         sampler.push(known.values[latest[index]], flight.command.values[index, :2])
         now = int(flight.command.stamp[index])
