@@ -19,8 +19,8 @@ from fiplib.dynamics import euler_angles
 from fiplib.estimators import ESTIMATORS, Estimator
 from fiplib.handover import HANDOVERS, HandOver
 from fiplib.kalman import Window
-from fiplib.mpc import MPC, Status
-from fiplib.params import A_DOT, B_DOT, GRAVITY, PHI, THETA, X_DOT, Y_DOT, A, B, Params, Piloting, X, Y
+from fiplib.mpc import MPC, Solution, Status
+from fiplib.params import A_DOT, AXES, B_DOT, GRAVITY, PHI, STATES, THETA, X_DOT, Y_DOT, A, B, Params, Piloting, X, Y
 from fiplib.windows import LEAD, NANO, RawSampler, RawWindow
 
 
@@ -51,6 +51,22 @@ class Command(NamedTuple):
     reference: NDArray
     length: float
     status: Status
+
+
+class Tick(NamedTuple):
+    """What a controller knows at a control tick.
+
+    ``now`` in ns, ``elapsed`` in s since the last tick, ``state`` (10,), ``reference`` (N+1, 10) at the nodes of the
+    horizon, ``height`` in m, ``climb_rate`` in m/s, ``yaw`` in rad.
+    """
+
+    now: int
+    elapsed: float
+    state: NDArray
+    reference: NDArray
+    height: float
+    climb_rate: float
+    yaw: float
 
 
 class Reference(Protocol):
@@ -178,6 +194,7 @@ class Pilot:
         self._handover: HandOver = policy(params, self._sampler.seconds / params.estimation.run_period)
         self.length = self._handover.used
         self._mpc = MPC(params)
+        self._gains = self._feedback()
         self._observer = Observer(params.piloting)
         self._altitude = PID(params.piloting.altitude_gains, params.piloting.altitude_integral_limit)
         self._yaw = PID(params.piloting.yaw_gains)
@@ -197,7 +214,15 @@ class Pilot:
         Returns:
             The command at a control tick (``control_rate``), ``None`` at the frames between.
         """
-        state, (height, climb_rate, yaw) = self._observer.update(measurement, self.length)
+        tick = self.observe(now, measurement)
+        if tick is None:
+            return None
+        solution = self.solve(tick)
+        return self.answer(tick, solution.input, solution.status)
+
+    def observe(self, now: int, measurement: Measurement) -> Tick | None:
+        """The first part of ``step``: take one frame; at a control tick, what a controller needs to know."""
+        state, altitude = self._observer.update(measurement, self.length)
         if isinstance(self._sampler, RawSchedule):
             self._sampler.push_frame(measurement)
         if self._first is None:
@@ -207,22 +232,45 @@ class Pilot:
             return None
         elapsed = 0.0 if self._last is None else (now - self._last) / NANO
         self._last = now
-
         reference = self.reference.at((now - self._first) / NANO + self._horizon)
-        solution = self._mpc.solve(state, reference, self.length)
-        climb = self._altitude.update(self.reference.height - height, -climb_rate, elapsed)
+        return Tick(now, elapsed, state, reference, *altitude)
+
+    def solve(self, tick: Tick) -> Solution:
+        """The second part: the optimal plan."""
+        return self._mpc.solve(tick.state, tick.reference, self.length)
+
+    def hold(self, tick: Tick, place: NDArray) -> NDArray:
+        """Instead of the second part, without a solver: body rates (2,) that keep rod and vehicle at a state (10,).
+
+        The feedback is that of the optimal plan where no bound is active: u = -K_0 (x - x_ref), cut off at the bounds.
+        """
+        limit = self.params.vehicle.max_body_rate
+        return np.clip(self._gains @ (tick.state - place), -limit, limit)
+
+    def answer(self, tick: Tick, rates: NDArray, status: Status) -> Command:
+        """The last part of ``step``: body rates (2,) in rad/s about x and y, with thrust and yaw, as a command."""
+        climb = self._altitude.update(self.reference.height - tick.height, -tick.climb_rate, tick.elapsed)
         mass = self.params.vehicle.mass + self.params.pendulum.mass
-        lift = mass * (GRAVITY + climb) / (math.cos(state[PHI]) * math.cos(state[THETA]))
+        lift = mass * (GRAVITY + climb) / (math.cos(tick.state[PHI]) * math.cos(tick.state[THETA]))
         # AttitudeTarget carries thrust in single precision: fly what is recorded
         thrust = float(np.float32(max(0.0, min(1.0, lift / self.params.vehicle.max_thrust))))
         limit = self.params.vehicle.max_body_rate
-        yaw_rate = max(-limit, min(limit, self._yaw.update(-yaw, 0.0, elapsed)))
-        body_rate = np.array((solution.input[0], solution.input[1], yaw_rate))
+        yaw_rate = max(-limit, min(limit, self._yaw.update(-tick.yaw, 0.0, tick.elapsed)))
+        body_rate = np.array((rates[0], rates[1], yaw_rate))
         if isinstance(self._sampler, RawSchedule):
-            self._sampler.push_command(now, body_rate, thrust)
+            self._sampler.push_command(tick.now, body_rate, thrust)
         else:
-            self._sampler.push(state, solution.input)
-        return Command(now, body_rate, thrust, state, reference[0], self.length, solution.status)
+            self._sampler.push(tick.state, rates)
+        return Command(tick.now, body_rate, thrust, tick.state, tick.reference[0], self.length, status)
+
+    @property
+    def window_seconds(self) -> float:
+        """How long the estimator's window is, s."""
+        return self._sampler.seconds
+
+    def forget_window(self) -> None:
+        """After a gap in frames or commands: gather the estimator's window afresh."""
+        self._sampler = SAMPLERS[estimator_of(self.params).kind](self.params)
 
     def window_due(self) -> Window | RawWindow | None:
         """The window, of the estimator's kind, when a run is due by its schedule (``run_period``), else ``None``."""
@@ -239,8 +287,17 @@ class Pilot:
             The length used from the next tick on, m.
         """
         self.length = self._handover.update(length, deviation)
-        self._mpc.prepare(self.length)  # here, and not within the next tick
+        self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
         return self.length
+
+    def _feedback(self) -> NDArray:
+        """-K_0 (2, 10) of the length in use."""
+        gains = np.zeros((2, len(STATES)))
+        for axis, part in zip(AXES, self._mpc.prepare(self.length), strict=True):
+            # z = (s, s', d, d', sign * tilt) and sign * rate: see params.Axis
+            signs = axis.sign * np.array((1.0, 1.0, 1.0, 1.0, axis.sign))
+            gains[axis.input, list(axis.states)] = signs * part.plan[0, :5]
+        return gains
 
 
 def estimator_of(params: Params) -> Estimator:

@@ -59,7 +59,9 @@ class Scenario:
     seed: int = 1
 
     def metadata(self) -> dict[str, Any]:
-        """What a bag of this flight carries about its origin."""
+        """What a bag of this flight carries about its origin; not ``safety`` and ``radio``, as ``fly`` uses neither."""
+        params = self.params.to_dict()
+        del params["safety"], params["radio"]
         return {
             "origin": "simulated",
             "version": __version__,
@@ -69,7 +71,7 @@ class Scenario:
             "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
-            "params": self.params.to_dict(),
+            "params": params,
         }
 
 
@@ -164,9 +166,12 @@ class Plant:
             self._buffer.set_arg(index, memoryview(array))
         self._buffer.set_res(0, memoryview(self._next))
 
-    def command(self, body_rate: ArrayLike, thrust: float) -> None:
-        """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay."""
-        self._commands.append((self._substep + self._delay, np.array([*body_rate, thrust])))
+    def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
+        """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
+
+        In real time ``at`` says the substep at which it acts instead, counted from the start.
+        """
+        self._commands.append((self._substep + self._delay if at is None else at, np.array([*body_rate, thrust])))
 
     def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
@@ -270,7 +275,7 @@ def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None
     lean = rng.normal(size=2) * params.simulation.initial_lean
     plant = Plant(params, (start[0], start[2], scenario.reference.height), lean)
     mocap, pilot = Mocap(params, frames, rng), Pilot(params, scenario.reference)
-    estimator = _Estimator(params, seed)
+    estimator = SimulatedEstimator(params, seed)
     latency = round(params.simulation.mocap_latency * NANO)
     told = deque(scenario.told_lengths)
     pushes = deque(scenario.pushes)
@@ -327,7 +332,7 @@ def _record_command(recorder: Recorder, command: Command, before: Status) -> Non
         recorder.event(command.stamp, "info", f"MPC status {command.status.value}")
 
 
-class _Estimator:
+class SimulatedEstimator:
     """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
 
     def __init__(self, params: Params, seed: int) -> None:

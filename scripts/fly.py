@@ -4,22 +4,34 @@
     python scripts/fly.py --list
     python scripts/fly.py --scenario circle-0.8 --output my-flight
     python scripts/fly.py --scenario push-hover --set pendulum.length=0.8 --seed 7 --output short-rod
+    python scripts/fly.py --scenario estimate-1.4 --real-time --output live
 
-The vehicle is simulated, and the bag says so.
+The vehicle is simulated unless --link says otherwise, and the bag says which. Nothing here has flown on a vehicle.
+In real time, Ctrl-C lands (levels and descends; the rod is given up); a second one stops the motors.
 """
 
 import argparse
 import ast
+import contextlib
 import dataclasses
+import math
 import shutil
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+from flight import Flight, Operator
+from links import LinkError, available
 from tqdm import tqdm
+from view import View
 
 from fiplib import bags, simulate
+from fiplib.estimator_process import EstimatorProcess
+from fiplib.failsafe import Guard
+from fiplib.live import LiveRecorder
+from fiplib.params import Params
+from fiplib.sender import urgent
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,15 +46,21 @@ def main(arguments: list[str] | None = None) -> int:
         output = Path(options.output or scenario.name)
         if options.force and is_bag(output):
             shutil.rmtree(output)
-        outcome, seconds = fly(scenario, output)
-    except (ValueError, bags.BagError, OSError) as error:
+        if options.link == "sim" and not (options.real_time or options.failsafe):
+            if scenario.params.safety != Params().safety:
+                raise ValueError("--set safety....: the failsafe flies with --real-time or --failsafe only")
+            outcome, seconds = fly(scenario, output)
+        else:
+            return fly_safely(scenario, output, options)
+    except (ValueError, bags.BagError, LinkError, OSError) as error:
         print(f"fly.py: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"fly.py: interrupted; what was flown until then is in {output}", file=sys.stderr)
         return 130
-    end = "still balanced" if outcome.survived else "FELL"
-    print(f"simulated {outcome.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        end = "still balanced" if outcome.survived else "FELL"
+        print(f"simulated {outcome.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
     return 0
 
 
@@ -64,7 +82,18 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         metavar="GROUP.NAME=VALUE",
         help="change a parameter of fiplib/params.py, e.g. pendulum.length=0.8; may be repeated",
     )
-    return parser.parse_args(arguments)
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds to fly (default: the scenario's)")
+    parser.add_argument(
+        "--arm", action="store_true", help="arm a real vehicle once the checks pass, without waiting for Enter"
+    )
+    links = available()
+    parser.add_argument("--link", choices=links, default="sim", help="how to reach the vehicle (default: %(default)s)")
+    for name, link in links.items():
+        link.arguments(parser.add_argument_group(f"--link {name}"))
+    options = parser.parse_args(arguments)
+    if options.duration is not None and not 0.0 < options.duration < math.inf:
+        parser.error(f"--duration {options.duration:g}: give seconds > 0")
+    return options
 
 
 def chosen(options: argparse.Namespace) -> simulate.Scenario:
@@ -78,7 +107,8 @@ def chosen(options: argparse.Namespace) -> simulate.Scenario:
     scenario = simulate.SCENARIOS[options.scenario]
     params = scenario.params.replace(**dict(map(assignment, options.set)))
     seed = scenario.seed if options.seed is None else options.seed
-    return dataclasses.replace(scenario, params=params, seed=seed)
+    duration = scenario.duration if options.duration is None else options.duration
+    return dataclasses.replace(scenario, params=params, seed=seed, duration=duration)
 
 
 def assignment(text: str) -> tuple[str, Any]:
@@ -107,6 +137,50 @@ def fly(scenario: simulate.Scenario, output: Path) -> tuple[simulate.Outcome, fl
     ):
         outcome = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
     return outcome, time.perf_counter() - started
+
+
+def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Namespace) -> int:
+    """Fly through a link behind the failsafe and record; the exit status."""
+    link = available()[options.link].from_options(options, scenario)
+    ask = link.origin == "real" and not options.arm
+    if ask and not sys.stdin.isatty():
+        raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
+    real_time = options.link != "sim" or options.real_time
+    metadata = {**scenario.metadata(), "origin": link.origin, "link": options.link, "real_time": real_time}
+    metadata["params"] = scenario.params.to_dict()  # those of the failsafe too
+    # left in reverse order: the commands end first, in good order, then the rest
+    with contextlib.ExitStack() as stack:
+        operator = stack.enter_context(Operator(ask))
+        view, estimator = None, None
+        if real_time:
+            recorder: bags.Recorder = stack.enter_context(LiveRecorder(output, metadata))
+            if scenario.params.piloting.estimate:
+                estimator = stack.enter_context(EstimatorProcess(scenario.params, scenario.seed))
+            view = stack.enter_context(View())
+            view.say("starting; Ctrl-C lands, a second one stops the motors")
+            if ask:
+                view.say("Enter arms once the vehicle is ready, Enter again lands")
+        else:
+            recorder = stack.enter_context(bags.Recorder(output, metadata))
+            estimator = simulate.SimulatedEstimator(scenario.params, scenario.seed)
+        guard = Guard(scenario.params, scenario.reference)
+        stack.enter_context(link)
+        if real_time:
+            urgent(1)
+        flight = Flight(scenario, link, guard, recorder, estimator, operator, view)
+        started = time.perf_counter()
+        outcome = flight.run()
+        seconds = time.perf_counter() - started
+    end = "still balanced" if outcome.survived else "not balanced to the end"
+    clockwork = flight.clockwork
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        print(f"{link.origin}: {outcome.duration:.2f} s in {seconds:.1f} s, {end} ({guard.ended}); wrote {output}")
+        if real_time:
+            print(
+                f"{clockwork.ticks} ticks, {clockwork.late_ours} answered late, {clockwork.late_machine} with late "
+                f"poses; worst answer after {1e3 * clockwork.worst_solve:.1f} ms"
+            )
+    return 130 if operator.reason else 0
 
 
 if __name__ == "__main__":

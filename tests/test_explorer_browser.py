@@ -24,7 +24,10 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 PATIENCE = 300_000
 """ms within which anything must have happened: the longest step takes some 15 s on an idle machine."""
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page was not tried in one")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page was not tried in one"),
+    pytest.mark.xdist_group("lab"),  # one JupyterLab for all of them
+]
 
 
 @contextmanager

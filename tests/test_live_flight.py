@@ -1,0 +1,58 @@
+"""Flights in real time with their processes: what happens when one of them is killed. Simulated vehicle."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from fiplib.failsafe import Guard
+from fiplib.simulate import SCENARIOS, Tape
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
+from flight import Flight
+from links.sim import SimLink
+
+
+@pytest.mark.parametrize(
+    ("process", "reason"),
+    [
+        ("sender", "the command sender died (exit code -9): disarmed without it"),
+        ("vehicle", "the simulated vehicle's process died (exit code -9)"),
+    ],
+)
+def test_a_flight_whose_process_is_killed_ends_disarmed_with_the_reason(process, reason):
+    scenario = SCENARIOS["push-hover"]
+    tape, guard = Tape(), Guard(scenario.params, scenario.reference)
+    with SimLink(scenario) as link:
+        flight = Flight(scenario, link, guard, tape)
+        until_in_the_air(flight, tape)
+        os.kill(link.pids[process], signal.SIGKILL)
+        outcome = flight.run()
+        last = [row[2] for row in tape.values["truth_state"]]
+    assert guard.ended == reason and not outcome.survived and len(last) > 1
+    assert tape.events[-1][2].endswith(f"-> disarmed: {reason}")
+    assert tape.values["command"][-1] == (0.0, 0.0, 0.0, 0.0)
+
+
+def until_in_the_air(flight: Flight, tape: Tape) -> None:
+    while len(tape.values.get("command", ())) <= 60:
+        assert flight.guard.ended is None
+        flight.step()
+
+
+def test_the_motors_of_the_vehicle_stop_when_its_sender_is_killed():
+    scenario = SCENARIOS["push-hover"]
+    tape, guard = Tape(), Guard(scenario.params, scenario.reference)
+    with SimLink(scenario) as link:
+        flight = Flight(scenario, link, guard, tape)
+        until_in_the_air(flight, tape)
+        os.kill(link.pids["sender"], signal.SIGKILL)
+        flight.run()
+        # from 1.3 m it falls to the ground in half a second
+        for _ in range(240 * 20):
+            link.receive(0.1)
+            if link.truth[10] < 0.1:
+                break
+        assert link.truth[10] < 0.1
