@@ -26,6 +26,7 @@ reads_table2-software :=
 reads_table3-convergence := estimate-0.8 estimate-1.2 estimate-1.4
 reads_table4-estimators :=
 reads_fig11-handover :=
+reads_fig12-bound :=
 reads_table5-seeds :=
 reads_table6-readings :=
 reads_table7-weights :=
@@ -39,14 +40,15 @@ studies_fig8-landscapes := landscape_curves
 studies_fig9-estimators := estimators
 studies_table4-estimators := estimators
 studies_fig11-handover := handover
+studies_fig12-bound := bounds
 studies_table5-seeds := ledger_seeds
 studies_table6-readings := ledger_seeds ledger_readings
 studies_table7-weights := weights
 studies_table8-handover := handover
 studies_table9-landscapes := landscapes
-studies_claims := ledger_seeds length_jumps estimators weights handover
+studies_claims := ledger_seeds length_jumps estimators weights handover bounds
 
-FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover
+FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover fig12-bound
 TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates
 SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
 

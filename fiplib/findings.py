@@ -138,3 +138,36 @@ def fig11_handover(rows: Rows) -> Figure:
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     origin(figure, "simulated flights of 12 s, uniform rods")
     return figure
+
+
+def fig12_bound(rows: Rows) -> Figure:
+    """Fig. 12: the Cramer-Rao bound of the length over the window: by excitation, and by what is measured and known."""
+    figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    cells = {tuple(row[key] for key in ("excitation", "rod", "noise", "knowledge")): row for row in rows}
+    windows = [float(name.removeprefix("bound_")) for name in rows[0] if name.startswith("bound_")]
+    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+    curves = (
+        (0, {}, "0.4 m, 8 s", BLUE, "-"),
+        (0, {"excitation": "circle 0.4 m / 5 s"}, "0.4 m, 5 s", GREEN, "--"),
+        (0, {"excitation": "circle 0.8 m / 9 s"}, "0.8 m, 9 s", PURPLE, "-."),
+        (0, {"excitation": "hover"}, "hover", ORANGE, ":"),
+        (1, {}, "as on the left", BLUE, "-"),
+        (1, {"noise": "positions x 5"}, r"positions $\times 5$", ORANGE, ":"),
+        (1, {"noise": "attitude x 5"}, r"attitude $\times 5$", PURPLE, "-."),
+        (1, {"knowledge": "inertia and lag unknown"}, "inertia, lag\nunknown", GREEN, "--"),
+    )
+    for panel, changes, label, colour, dashes in curves:
+        row = cells[tuple((usual | changes).values())]
+        bounds = [1e3 * row[f"bound_{seconds:g}"] for seconds in windows]
+        panels[panel].loglog(windows, bounds, dashes, color=colour, label=label)
+    for axes in panels:
+        axes.axhline(10.0, color=GREY, lw=0.6)
+        axes.set(xlabel="window (s)", xticks=(0.25, 1, 2.5, 10), xticklabels=("0.25", "1", "2.5", "10"))
+        axes.minorticks_off()
+        axes.legend(loc="upper right", handlelength=1.8)
+    panels[0].set(ylabel="bound on the length (mm)", ylim=(0.2, 3000))
+    panels[0].set_title("excitation")
+    panels[1].set_title("noise, knowledge")
+    origin(figure, "simulated flights, uniform rod of 1 m; grey: 1 cm")
+    return figure

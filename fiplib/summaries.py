@@ -212,7 +212,7 @@ def table10_rates(rates: dict[str, float]) -> Table:
     return Table(("Workers", "Flights / s", "Simulated s / s", "Speed-up", "Origin"), lines, "rrrrl")
 
 
-FACTS = ("estimators", "weights", "handover")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "bounds")
 """The studies of which the report states numbers outside its tables."""
 
 
@@ -250,6 +250,37 @@ def facts(studies: Mapping[str, Rows]) -> dict[tuple[str, ...], str]:
                 ("handover", policy, "time"): f"{one.mean_time:.2f}",
                 ("handover", policy, "longest"): f"{one.longest:.2f}",
             }
+    if rows := studies["length_jumps"]:
+        flights = max(row["survived"] for row in rows)
+        for rod in ("uniform", "point mass"):
+            for change in ("at once", "in steps"):
+                for lasting in ("for good", "2 s"):
+                    kind = {"rod": rod, "change": change, "lasting": lasting}
+                    some = [row for row in rows if kind.items() <= row.items()]
+                    fell = [row["length"] for row in some if row["survived"] < flights]
+                    ends = {
+                        "shortest": min(
+                            r["length"] for r in some if r["length"] > max((x for x in fell if x < 1), default=0)
+                        ),
+                        "longest": max(
+                            r["length"] for r in some if r["length"] < min((x for x in fell if x > 1), default=9)
+                        ),
+                    }
+                    name = ("length_jumps", rod, change, "outlier" if lasting == "2 s" else "lasting")
+                    found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    if rows := studies["bounds"]:
+        usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+        for name, changes in {
+            "usual": {},
+            "hover": {"excitation": "hover"},
+            "fast": {"excitation": "circle 0.4 m / 5 s"},
+            "positions": {"noise": "positions x 5"},
+            "attitude": {"noise": "attitude x 5"},
+            "unknown": {"knowledge": "inertia and lag unknown"},
+            "height": {"knowledge": "height measured"},
+        }.items():
+            [row] = [row for row in rows if (usual | changes).items() <= row.items()]
+            found["bounds", name] = f"{1e3 * row['bound_2.5']:.2g}"
     return found
 
 

@@ -14,6 +14,7 @@ from fiplib.likelihood import maximum_likelihood
 from fiplib.params import Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import Scenario, Tape, fly
+from fiplib.studies import bounds
 from fiplib.windows import NANO, RawWindow
 
 PARAMS = Params()
@@ -119,3 +120,19 @@ def test_what_the_bound_cannot_be_computed_for_is_refused_clearly() -> None:
         cramer_rao(stretch(), PARAMS.replace(simulation__position_noise=0.0))
     with pytest.raises(BagError, match="true states and the commands"):
         motion(dataclasses.replace(flown(), truth_state=None))
+
+
+def test_the_study_of_the_bound_falls_with_the_window_and_grows_with_the_noise_of_positions(monkeypatch):
+    monkeypatch.setattr(bounds, "WINDOWS", (0.5, 1.0, 2.0))
+    monkeypatch.setattr(bounds, "STARTS", (6.0,))
+    case = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+    assert case in bounds.cases()
+    usual, noisy, tall = (
+        list(bounds.run(case | changes).values())
+        for changes in ({}, {"noise": "positions x 5"}, {"knowledge": "height measured"})
+    )
+    assert usual == sorted(usual, reverse=True) and min(usual) > 0
+    # nearly in proportion: a little of the information is in the attitude, whose noise stays
+    assert np.divide(noisy, usual) == pytest.approx([5.0] * 3, rel=0.05)
+    assert max(tall) < 0.1 * min(usual), "the height of the centre of mass is half the length"
+    bounds.flown.cache_clear()  # its flights were cut to these windows

@@ -23,6 +23,7 @@ STUDIES = {
         "ledger_readings",
         "landscapes",
         "landscape_curves",
+        "bounds",
         "estimators",
         "handover",
     )
