@@ -83,7 +83,8 @@ figures: $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) ## make every figure and table
 	@cat figures/claims.txt
 
 test: .venv/installed ## run the tests, and the notebooks with small settings, on every core
-	@FIP_FAST=1 $(PY) -m pytest -n auto --dist loadgroup --nbmake notebooks tests
+	@FIP_FAST=1 $(PY) -m pytest -n auto --dist loadgroup -m "not realtime" --nbmake notebooks tests; status=$$?; \
+	    $(PY) -m pytest -m realtime tests && exit $$status
 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks

@@ -23,7 +23,7 @@ CHAPTERS = {
     "Control": ("mpc", "pilot", "handover", "failsafe"),
     "Estimation": ("kalman", "ga", "estimators", "likelihood", "windows", "bound"),
     "Flights": ("simulate", "recorder", "bags", "records", "recover", "replay"),
-    "Real vehicles": ("live", "posecheck", "sender", "estimator_process"),
+    "Real vehicles": ("live", "posecheck", "sender", "estimator_process", "crsf", "firmware", "faults"),
     "Results": ("claims", "measures", "ledger", "figures", "findings", "tables", "summaries", "style"),
     "Studies": ("journal", "sweep", "cluster", "studies"),
     "Notebooks": ("lecture", "graders", "animate", "explorer", "explorer_fit", "explorer_plots"),

@@ -85,7 +85,7 @@ class EstimatorProcess:
                 else:
                     answer, self._busy, self.seconds = message, False, time.monotonic() - self._since
             elif not self._process.is_alive():
-                self._replace(f"died (exit code {self._process.exitcode})")
+                self._replace()
                 return None
             elif time.monotonic() - self._since > self._allowed():
                 self._replace(f"hung for {self._allowed():g} s")
@@ -96,8 +96,7 @@ class EstimatorProcess:
                 self._runs += 1
                 self._busy, self._since = True, time.monotonic()
         except (EOFError, OSError):
-            self._process.join(0.0)
-            self._replace(f"died (exit code {self._process.exitcode})")
+            self._replace()
         return answer
 
     def _allowed(self) -> float:
@@ -105,8 +104,11 @@ class EstimatorProcess:
             return START_TIME
         return self._params.safety.estimator_timeout if self._busy else math.inf
 
-    def _replace(self, what: str) -> None:
+    def _replace(self, what: str = "") -> None:
+        process = self._process
         self._end()
+        if process is not None and not what:  # its connection may break before its exit code is known
+            what = f"died (exit code {process.exitcode})"
         if self._starts > self._params.safety.estimator_restarts:
             self.remarks.append(("error", f"estimator {what}: given up after {self._starts - 1} restarts"))
             return

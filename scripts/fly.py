@@ -47,8 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
         if options.force and is_bag(output):
             shutil.rmtree(output)
         if options.link == "sim" and not (options.real_time or options.failsafe):
-            if scenario.params.safety != Params().safety:
-                raise ValueError("--set safety....: the failsafe flies with --real-time or --failsafe only")
+            if (scenario.params.safety, scenario.params.radio) != (Params().safety, Params().radio):
+                raise ValueError("--set safety or radio: they fly with --real-time, --failsafe or --link crsf only")
             outcome, seconds = fly(scenario, output)
         else:
             return fly_safely(scenario, output, options)
@@ -142,7 +142,8 @@ def fly(scenario: simulate.Scenario, output: Path) -> tuple[simulate.Outcome, fl
 def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Namespace) -> int:
     """Fly through a link behind the failsafe and record; the exit status."""
     link = available()[options.link].from_options(options, scenario)
-    ask = link.origin == "real" and not options.arm
+    # on the bench the vehicle is simulated, but a radio may reach motors
+    ask = (link.origin == "real" or options.link == "crsf") and not options.arm
     if ask and not sys.stdin.isatty():
         raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
     real_time = options.link != "sim" or options.real_time

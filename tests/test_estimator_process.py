@@ -14,6 +14,8 @@ from fiplib.estimators import ESTIMATORS
 from fiplib.kalman import Window
 from fiplib.likelihood import Estimate
 
+pytestmark = pytest.mark.realtime
+
 DATA = Path(__file__).parent.parent / "data"
 
 

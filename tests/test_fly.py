@@ -165,7 +165,7 @@ def test_ctrl_c_or_a_lost_terminal_lands_the_vehicle_and_leaves_a_whole_bag(tmp_
 
 def test_limits_of_the_failsafe_are_refused_where_no_failsafe_flies(tmp_path):
     answer = fly("--scenario", "push-hover", "--set", "safety.pose_level=0.2", "--output", tmp_path / "bag")
-    assert answer.returncode == 2 and "with --real-time or --failsafe only" in answer.stderr
+    assert answer.returncode == 2 and "they fly with --real-time, --failsafe or --link crsf only" in answer.stderr
     answer = fly("--scenario", "push-hover", "--duration", "-1", "--output", tmp_path / "bag")
     assert answer.returncode == 2 and "give seconds > 0" in answer.stderr
     assert not (tmp_path / "bag").exists()

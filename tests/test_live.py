@@ -21,6 +21,8 @@ from fiplib.live import LiveRecorder
 from fiplib.recorder import SIDECAR
 from fiplib.recover import recover
 
+pytestmark = pytest.mark.realtime
+
 TESTS = Path(__file__).parent
 
 # A flight script that records in real time for two minutes at most: poses of both bodies at 240 Hz and what belongs to

@@ -220,7 +220,10 @@ def gone(pid: int) -> bool:
         return True
 
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks processes up in /proc")
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks processes up in /proc"),
+]
 
 
 def test_when_the_pilot_is_killed_level_and_disarm_frames_follow(output):
