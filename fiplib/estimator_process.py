@@ -105,6 +105,11 @@ class EstimatorProcess:
         return self._params.safety.estimator_timeout if self._busy else math.inf
 
     def _replace(self, what: str = "") -> None:
+        # ending a process and starting another both take longer than a control tick
+        self._starting = threading.Thread(target=self._end_and_start, args=(what,), name="fip-estimator-start")
+        self._starting.start()
+
+    def _end_and_start(self, what: str) -> None:
         process = self._process
         self._end()
         if process is not None and not what:  # its connection may break before its exit code is known
@@ -113,9 +118,7 @@ class EstimatorProcess:
             self.remarks.append(("error", f"estimator {what}: given up after {self._starts - 1} restarts"))
             return
         self.remarks.append(("warn", f"estimator {what}: started again"))
-        # starting a process takes longer than a control tick
-        self._starting = threading.Thread(target=self._start, name="fip-estimator-start")
-        self._starting.start()
+        self._start()
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")

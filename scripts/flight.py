@@ -210,7 +210,7 @@ class Flight:
         if self._began is None and guard.mode is Mode.FLYING:
             self._began = now
             self._recorder.length(now, guard.pilot.length, math.nan, math.nan)
-            if self._link.origin == "simulated":
+            if hasattr(self._link, "truth"):  # over ROS, say, the link does not know it
                 self._recorder.truth_length(now, self._scenario.params.pendulum.length)
         stop, disarm = operator.reason, operator.cut
         if fault := self._link.fault():

@@ -165,7 +165,12 @@ def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Name
             recorder = stack.enter_context(bags.Recorder(output, metadata))
             estimator = simulate.SimulatedEstimator(scenario.params, scenario.seed)
         guard = Guard(scenario.params, scenario.reference)
-        stack.enter_context(link)
+        try:
+            stack.enter_context(link)
+        except LinkError:
+            stack.close()
+            shutil.rmtree(output, ignore_errors=True)  # nothing was flown: leave no empty bag behind
+            raise
         if real_time:
             urgent(1)
         flight = Flight(scenario, link, guard, recorder, estimator, operator, view)

@@ -11,6 +11,8 @@ from contextlib import suppress
 from types import TracebackType
 from typing import NamedTuple, Self, TextIO
 
+from fiplib.sender import urgent
+
 UP, CLEAR = "\x1b[{}A", "\x1b[J"
 
 
@@ -108,6 +110,7 @@ class View:
         self._thread.join(2.0)  # a terminal that takes nothing does not keep us
 
     def _run(self) -> None:
+        urgent(1)  # as the thread that flies: it holds the interpreter's lock while it draws, and must not wait with it
         with suppress(OSError, ValueError):  # the terminal is gone: nobody is looking
             while not self._stop.wait(self._pause):
                 self._draw()
