@@ -167,6 +167,9 @@ def betaflight_settings(params: Params) -> list[str]:
         "set thr_mid = 50",
         "set thr_expo = 0",
         "set throttle_limit_type = OFF",
+        "set rc_smoothing = OFF",
+        "set simplified_feedforward_gain = 0",
+        "simplified_tuning apply",
         "save",
     ]
 

@@ -216,9 +216,14 @@ class Simulation:
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
     rate_delay: float = quantity(
-        12.5e-3, "s", "measured on Betaflight in the loop: 12 to 16 ms from command to motion", zero=True
+        12.5e-3,
+        "s",
+        "Betaflight in the loop takes 9 to 12 ms in roll and pitch (docs/firmware.md); the rest for the radio",
+        zero=True,
     )
-    rate_lag: float = quantity(15e-3, "s", "measured on Betaflight in the loop: 10 to 15 ms, first order")
+    rate_lag: float = quantity(
+        15e-3, "s", "Betaflight in the loop: 9 and 10 ms in roll and pitch, 14 ms in yaw; our choice is slower"
+    )
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
     estimation_latency: float = quantity(
@@ -287,7 +292,7 @@ class Safety:
     estimator_restarts: int = quantity(3, "1", "our choice: times that the estimator's process is started again")
     level_gain: float = quantity(4.0, "1/s", "our choice: body rate per tilt when levelling")
     loop_delay: float = quantity(
-        0.03, "s", "measured on Betaflight in the loop: 12-16 ms delay and 10-15 ms lag; commands not yet seen in poses"
+        0.03, "s", "Betaflight in the loop: 17 to 23 ms of delay and lag, and the radio; commands not yet seen in poses"
     )
     descent: float = quantity(0.5, "m/s", "our choice: speed of the descent when levelled, poses being good")
     descent_gain: float = quantity(2.0, "1/s", "our choice: vertical acceleration per error of the speed of descent")
