@@ -234,8 +234,10 @@ class Guard:
         self._ages(now)
         if self.ended is not None:
             return self._between(now)
+        # when frames come late and many at once, the newest must be answered: each counts as of when it was due
+        overdue = round(self._check.age(now) * NANO)
         try:
-            tick = self.pilot.observe(now, good)
+            tick = self.pilot.observe(now - overdue if overdue > self._tick_ns else now, good)
         except Exception as error:  # a flight must outlive a bug
             failure = f"{type(error).__name__}: {error}"
             return self._levelled(now) if self.mode is Mode.LEVEL else self._without_solution(now, None, failure)

@@ -31,10 +31,10 @@ MODES = list(Mode)
 LEAVE = b"leave"
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
-HEARTBEAT = 0.1
+HEARTBEAT = 0.05
 """The sender reports that often, s."""
-HUNG = 1.0
-"""A sender that has not reported for so long is taken for hung, s."""
+HUNG = 0.3
+"""A sender that has not reported for so long is taken for hung, s: the vehicle keeps the last command meanwhile."""
 REOPEN = 0.25
 """A broken sink is opened again that often, s."""
 PATIENCE = 1.25

@@ -8,6 +8,7 @@ vehicle is held in place until it is first commanded with armed motors.
 
 import argparse
 import functools
+import gc
 import math
 import multiprocessing
 import select
@@ -32,7 +33,8 @@ FRAME = struct.Struct("<q25d")
 """A frame on its way to the pilot: stamp, the 14 numbers of two poses, the 11 of the true state."""
 GROUND = 0.05
 """Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
-NOISE_FRAMES = 240 * 60
+NOISE_FRAMES = 240
+"""Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame."""
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
 
@@ -242,6 +244,8 @@ def _fly_vehicle(
     vehicle = SimulatedVehicle(scenario)
     rate, simulation = scenario.params.piloting.mocap_rate, scenario.params.simulation
     latency = round(simulation.mocap_latency * NANO)
+    gc.freeze()
+    gc.disable()  # a collection takes longer than a tick; nothing here makes cycles
     tell.send("ready")
     start, held, index = time.monotonic_ns(), 0, 0
     with suppress(BrokenPipeError):
