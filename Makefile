@@ -27,6 +27,7 @@ reads_table3-convergence := estimate-0.8 estimate-1.2 estimate-1.4
 reads_table4-estimators :=
 reads_fig11-handover :=
 reads_fig12-bound :=
+reads_fig13-deadlines :=
 reads_table5-seeds :=
 reads_table6-readings :=
 reads_table7-weights :=
@@ -48,7 +49,7 @@ studies_table8-handover := handover
 studies_table9-landscapes := landscapes
 studies_claims := ledger_seeds length_jumps estimators weights handover bounds
 
-FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover fig12-bound
+FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover fig12-bound fig13-deadlines
 TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates
 SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
 
@@ -153,6 +154,7 @@ figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
 	$(PY) -m fiplib.figures table$*
 
 figures/table10-rates.csv figures/table10-rates.tex: benchmarks/sweep_rates.csv
+figures/fig13-deadlines.pdf figures/fig13-deadlines.png: benchmarks/deadlines.csv
 $(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv $(call table_files,$(studies_claims))
 $(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
 $(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))

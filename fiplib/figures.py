@@ -184,6 +184,7 @@ FIGURES = {
     "fig10-intervals": Product(findings.fig10_intervals, ("estimate-1.4",)),
     "fig11-handover": Product(findings.fig11_handover, studies=("handover",)),
     "fig12-bound": Product(findings.fig12_bound, studies=("bounds",)),
+    "fig13-deadlines": Product(findings.fig13_deadlines, benchmarks=("deadlines",)),
     "table1-parameters": Product(tables.table1_parameters),
     "table2-software": Product(tables.table2_software),
     "table3-convergence": Product(tables.table3_convergence, _ESTIMATES),

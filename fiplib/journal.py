@@ -35,7 +35,7 @@ class JournalError(Exception):
     """A table on disk that is not what it should be, in one line for its user."""
 
 
-BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py"}
+BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py", "deadlines": "bench_deadlines.py"}
 """The tables of ``benchmarks/``, each with the script there that writes it when called with ``--save``."""
 
 
