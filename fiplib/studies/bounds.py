@@ -48,9 +48,7 @@ STARTS = (6.0, 8.0, 10.0)
 
 def cases() -> list[dict]:
     """Every excitation and rod, with every noise and state of knowledge."""
-    return [
-        dict(zip(KEYS, values, strict=True)) for values in itertools.product(EXCITATIONS, RODS, NOISES, KNOWLEDGE)
-    ]
+    return [dict(zip(KEYS, values, strict=True)) for values in itertools.product(EXCITATIONS, RODS, NOISES, KNOWLEDGE)]
 
 
 def run(case: dict) -> dict[str, float]:
