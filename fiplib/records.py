@@ -143,6 +143,8 @@ def _walk(content: bytes) -> Iterator[tuple[int, bytes]]:
     ended = False
     while at < len(content):
         records, end = _records_at(content, at, ended)
+        if at == len(_MAGIC) and content[at] == _MESSAGE:
+            records = None  # a file begins with its header: this was one
         if records is None:
             # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged: its length led here.
             whole = end > at and content[at] == _CHUNK and _framed(content, at + 9, end)

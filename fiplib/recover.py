@@ -133,6 +133,14 @@ def _content(file: Path) -> bytes:
         raise BagError(f"{file}: cannot be opened ({error.strerror})") from error
 
 
+def _qos(metadata: bytes) -> Sequence[Any]:
+    """The quality of service that a channel was offered with; none where a damaged byte makes it unreadable."""
+    try:
+        return get_qos(metadata)
+    except Exception:  # a length, a letter, a key, a number: whatever the damage hit
+        return ()
+
+
 def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recovery:
     entries = _entries(source, remains)
     expected = json.loads(entries.pop("messages", "{}"))
@@ -154,7 +162,7 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recove
                         topic.type,
                         msgdef=topic.definition,
                         rihs01=_type_hash(topic.type, topic.definition),
-                        offered_qos_profiles=get_qos(topic.metadata),
+                        offered_qos_profiles=_qos(topic.metadata),
                     )
             for topic, log_time, data in rest.messages():
                 writer.write(connections[topic[:2]], log_time, data)

@@ -110,7 +110,11 @@ def sweep(name: str, journal: Journal, cases: list[dict], client: "Client", limi
                 journal.append(case, result)
                 bar.update()
             elif future.status != "error":
-                raise ClusterError(f"{name}: the scheduler is gone")
+                # the worker died with the only copy of the result, unless there is nobody left to ask
+                if not _reachable(client):
+                    raise ClusterError(f"{name}: the scheduler is gone")
+                submit([case])
+                continue
             elif isinstance(result[1], KilledWorker) and not alone:
                 suspects.append(case)
             else:
@@ -125,6 +129,14 @@ def sweep(name: str, journal: Journal, cases: list[dict], client: "Client", limi
     if failed > REPORTED:
         print(f"{name}: {failed - REPORTED} more cases failed", file=sys.stderr)
     return failed
+
+
+def _reachable(client: "Client") -> bool:
+    try:
+        client.nthreads()
+    except OSError:
+        return False
+    return client.status == "running"
 
 
 def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
