@@ -42,17 +42,18 @@ import fly
 from links.sim import SimLink
 
 from fiplib.failsafe import Setpoint
-from fiplib.pilot import NANO, Measurement, Pilot
+from fiplib.params import NANO
+from fiplib.pilot import Pilot
 from fiplib.sender import START_TIME, ignore_the_terminal
 from fiplib.simulate import SCENARIOS, Scenario
+from fiplib.windows import Measurement
 
 SAVED = Path(__file__).parent / "deadlines.csv"
-"""What the figure fig12-deadlines reads. Committed, since times differ from run to run and figures should not."""
+"""What the figure fig13-deadlines reads. Committed, since times differ from run to run and figures should not."""
 EDGES = np.geomspace(1.0, 1e6, 61)
 """Upper edges of the bins of the saved distributions, us: ten to a decade, the last one open."""
 OWN = ("garbage collection", "solver", "logging and hand-over", "view", "vehicle", "sender", "recorder", "estimator")
 """The parts of our own code that may be the cause of a missed tick."""
-CAUSES = (*OWN, "machine", "unexplained")
 SIOCGSTAMPNS = 0x8907
 """Linux: asks a socket when the packet that was read last came; over the loopback interface, when it was sent."""
 ATTEMPTS = 10
@@ -162,7 +163,10 @@ def spent(miss: Missed, ticks: NDArray, stalls: Sequence[NDArray], urgent: bool)
 
 
 def cause(spent: Spent, tick: int) -> str:
-    """One of ``CAUSES`` for a tick (ns) that was missed: the machine's only if it would have been met without it."""
+    """What a tick (ns) was missed for: one of ``OWN``, "machine" or "unexplained".
+
+    The machine's only if it would have been met without it.
+    """
     # those that can keep us from running: with real-time scheduling only they, without it all that run beside us
     rivals = ("vehicle", "sender") if spent.urgent else ("vehicle", "sender", "recorder", "estimator")
     busy = sum(spent.own[name] for name in rivals)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 from fiplib.recorder import (
     IGNORE_RATES,
     JOINTS,
@@ -27,7 +27,6 @@ from fiplib.recorder import (
     POINT,
     POSE,
     ROLES,
-    SECOND,
     SIDECAR,
     TOPICS,
     BagError,
@@ -118,12 +117,12 @@ class Flight:
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""
-        return (data.stamp - self.start_ns) / SECOND
+        return (data.stamp - self.start_ns) / NANO
 
     @property
     def duration(self) -> float:
         """Seconds from the first exposure to the last."""
-        return (max(int(body.stamp[-1]) for body in (self.vehicle, self.pendulum)) - self.start_ns) / SECOND
+        return (max(int(body.stamp[-1]) for body in (self.vehicle, self.pendulum)) - self.start_ns) / NANO
 
     @property
     def simulated(self) -> bool:
@@ -148,7 +147,7 @@ class Flight:
         estimation = self.params.estimation
         window = (estimation.window - 1) * estimation.sample_period
         common = min(self.command.stamp[-1], self.vehicle.stamp[-1], self.pendulum.stamp[-1])
-        common = (common - max(self.command.stamp[0], self.vehicle.stamp[0], self.pendulum.stamp[0])) / SECOND
+        common = (common - max(self.command.stamp[0], self.vehicle.stamp[0], self.pendulum.stamp[0])) / NANO
         if common < window:
             return (
                 f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
@@ -334,7 +333,7 @@ def _decode_one_by_one(message_type: str, data: Sequence[bytes]) -> tuple[np.nda
     stamps, rows, names = [], [], None
     for message in (typestore().deserialize_cdr(raw, message_type) for raw in data):
         time = message.header.stamp
-        stamps.append(time.sec * SECOND + time.nanosec)
+        stamps.append(time.sec * NANO + time.nanosec)
         if message_type == POSE:
             p, q = message.pose.position, message.pose.orientation
             rows.append((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
@@ -355,7 +354,7 @@ def _decode_one_by_one(message_type: str, data: Sequence[bytes]) -> tuple[np.nda
 def _events(received: _Received) -> tuple[Event, ...]:
     levels = {number: name for name, number in LEVELS.items()}
     messages = [typestore().deserialize_cdr(data, ROLES["events"].type) for _, data in received]
-    stamps = np.array([message.stamp.sec * SECOND + message.stamp.nanosec for message in messages], np.int64)
+    stamps = np.array([message.stamp.sec * NANO + message.stamp.nanosec for message in messages], np.int64)
     _check_stamps(stamps, strict=False)
     return tuple(
         Event(int(stamp), levels.get(message.level, str(message.level)), message.msg)

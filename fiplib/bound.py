@@ -26,8 +26,7 @@ from scipy.signal import lfilter
 
 from fiplib.bags import BagError, Flight
 from fiplib.dynamics import PLANT, coupled_plant, rk4
-from fiplib.params import GRAVITY, PHI, THETA, A, B, Params, X, Y
-from fiplib.windows import NANO
+from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 
 NUISANCES = ("inertia_factor", "rate_lag")
 """What may be unknown beside the state and the length, as in ``likelihood``."""

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fiplib.failsafe import Setpoint
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 
 BAUDS = (400000, 115200, 5250000, 3750000, 1870000, 921600, 2250000)
 """Bits per second at which an ExpressLRS module looks for its host (its CRSFHandset.cpp, ``TxToHandsetBauds``)."""
@@ -100,7 +100,7 @@ class Encoder:
         if not setpoint.armed:
             self._ready = None
         elif self._ready is None:
-            self._ready = now + round(radio.arm_time * 1e9)
+            self._ready = now + round(radio.arm_time * NANO)
         values = [count(LOW)] * CHANNELS  # a switch that is not used is off
         sticks = [CENTRE, CENTRE, LOW, CENTRE]
         if setpoint.armed and self._ready is not None and now >= self._ready:

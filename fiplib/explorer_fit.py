@@ -15,8 +15,7 @@ from fiplib.estimators import ESTIMATORS
 from fiplib.kalman import Window
 from fiplib.likelihood import Estimate
 from fiplib.params import Params
-from fiplib.pilot import WindowSampler
-from fiplib.windows import LEAD, RawWindow
+from fiplib.windows import LEAD, RawWindow, WindowSampler
 
 MOST_SAMPLES = 250
 """Samples in a window at most: beyond, a refit takes longer than one likes to wait."""

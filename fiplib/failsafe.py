@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from fiplib.dynamics import euler_angles
 from fiplib.kalman import Window
 from fiplib.mpc import Status
-from fiplib.params import GRAVITY, STATES, Params, X, Y
-from fiplib.pilot import NANO, Command, Measurement, Pilot, Reference, Tick
+from fiplib.params import GRAVITY, NANO, STATES, Params, X, Y
+from fiplib.pilot import Command, Pilot, Reference, Tick
 from fiplib.posecheck import PoseCheck
-from fiplib.windows import RawWindow
+from fiplib.windows import Measurement, RawWindow
 
 
 class Mode(Enum):

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO
+from fiplib.windows import Measurement
 
 FrameFault = Callable[[float, Measurement], list[Measurement]]
 """(s since take-off, the true frame) -> the frames that arrive now."""

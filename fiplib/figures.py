@@ -294,7 +294,8 @@ def _plot_rates(axes: Axes, flight: Flight) -> None:
     for side in (-limit, limit):
         axes.axhline(side, color="black", lw=0.5, ls="--")
     axes.set_ylim(-1.2 * limit, 1.9 * limit)
-    axes.legend(loc="upper right", ncols=2)
+    for line in axes.legend(loc="upper right", ncols=2).get_lines():
+        line.set(linewidth=0.9, alpha=1.0)  # the noise is drawn thin, its key need not be
 
 
 def _band(axes: Axes, value: float, label: str) -> None:

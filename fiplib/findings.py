@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fiplib import measures
 from fiplib.bags import Flight
 from fiplib.journal import Rows
+from fiplib.params import NANO
 from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.summaries import LABELS, SHOWN_READINGS, pooled
 
@@ -99,8 +100,8 @@ def fig10_intervals(flight: Flight) -> Figure:
         times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="maximum likelihood, 95 %"
     )
     axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
-    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.88, 1.12))
-    axes.legend(loc="upper right", ncols=2)
+    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.9, 1.1))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")
     return figure
 
@@ -114,7 +115,7 @@ def _estimates(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
     for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
         estimate = maximum_likelihood(window, flight.params)
         if estimate.reason is None:
-            found.append(((stamp - flight.start_ns) / 1e9, estimate.length, estimate.standard_deviation))
+            found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
     return tuple(np.array(found).T)
 
 

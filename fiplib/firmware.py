@@ -27,10 +27,9 @@ from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.params import GRAVITY, Params, quantity
 from fiplib.simulate import Plant
 
-MOTORS = ("rear right", "front right", "rear left", "front left")
-"""Betaflight's motors 1 to 4, in the order used here. Seen from above 1 and 4 turn clockwise."""
 TURNS = (1.0, -1.0, -1.0, 1.0)
-"""Sign of each motor's reaction on the vehicle about z: one that turns clockwise turns the vehicle left."""
+"""Sign of each motor's reaction on the vehicle about z, in Betaflight's order: rear right, front right, rear left,
+front left. Seen from above the first and the last turn clockwise, which turns the vehicle left."""
 SPEEDS = slice(19, 23)
 """Speeds of the motors in [0, 1], after the first 19 states of ``dynamics.PLANT``."""
 

@@ -30,13 +30,14 @@ from typing import Any, BinaryIO
 from rosbags.rosbag2.storage_mcap import write_channel, write_schema
 from ruamel.yaml import YAML
 
-from fiplib.recorder import ROLES, SECOND, SIDECAR, BagError, Recorder, checksum, close_bag
+from fiplib.params import NANO
+from fiplib.recorder import ROLES, SIDECAR, BagError, Recorder, checksum, close_bag
 
 __all__ = ["LiveRecorder"]
 
 PERIOD = 0.25
 """s from one chunk to the next. A kill takes these and ``_HOLD``; the rest of the second is for a machine too busy."""
-_HOLD = SECOND // 10  # ns that messages wait for earlier ones of another topic; a pose arrives within some 20 ms
+_HOLD = NANO // 10  # ns that messages wait for earlier ones of another topic; a pose arrives within some 20 ms
 _NAP = 0.02  # s of messages taken at once: to wake for each would take the control's time on a small computer
 _RESERVE = 4 << 20  # bytes kept for the end of the recording when the disk is full: the index of an hour, and more
 _BACKLOG = 32 << 20  # bytes kept in memory when the disk stalls: two minutes of flight

@@ -58,6 +58,9 @@ AXES = (Axis((X, X_DOT, A, A_DOT, THETA), 1, +1.0), Axis((Y, Y_DOT, B, B_DOT, PH
 GRAVITY = 9.81
 """Standard acceleration of free fall, rounded, m/s^2 (the paper gives no value)."""
 
+NANO = 1_000_000_000
+"""Nanoseconds in a second: times are integer nanoseconds, as in ROS messages."""
+
 
 def quantity(default: Any, unit: str, source: str, zero: bool = False) -> Any:
     """A dataclass field that carries its unit, its source, and whether a number may be zero (none may be negative)."""

@@ -8,7 +8,6 @@ that a replay sees exactly what the flight saw.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -20,22 +19,25 @@ from fiplib.estimators import ESTIMATORS, Estimator
 from fiplib.handover import HANDOVERS, HandOver
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
-from fiplib.params import A_DOT, AXES, B_DOT, GRAVITY, PHI, STATES, THETA, X_DOT, Y_DOT, A, B, Params, Piloting, X, Y
-from fiplib.windows import LEAD, NANO, RawSampler, RawWindow
-
-
-class Measurement(NamedTuple):
-    """One frame of motion capture: both bodies at one exposure.
-
-    ``stamp`` is the time of exposure in ns; positions (3,) in m, world frame, the pendulum's at its COM; attitudes (4,)
-    are quaternions (x, y, z, w), the pendulum's z axis along the rod.
-    """
-
-    stamp: int
-    vehicle_position: NDArray
-    vehicle_attitude: NDArray
-    pendulum_position: NDArray
-    pendulum_attitude: NDArray
+from fiplib.params import (
+    A_DOT,
+    AXES,
+    B_DOT,
+    GRAVITY,
+    NANO,
+    PHI,
+    STATES,
+    THETA,
+    X_DOT,
+    Y_DOT,
+    A,
+    B,
+    Params,
+    Piloting,
+    X,
+    Y,
+)
+from fiplib.windows import SAMPLERS, Measurement, RawSchedule, RawWindow
 
 
 class Command(NamedTuple):
@@ -309,92 +311,3 @@ def _known(parameter: str, name: str, registry: dict[str, Any]) -> Any:
     if name not in registry:
         raise ValueError(f"{parameter} must be one of {', '.join(registry)}, not {name!r}")
     return registry[name]
-
-
-class WindowSampler:
-    """Gathers (state, input) at ``sample_period`` out of the control ticks, and keeps the schedule of the estimator.
-
-    The input of a sample is the mean over the ticks up to the next one: held over the period it moves the tilt by the
-    same amount as the inputs that were really applied.
-    """
-
-    def __init__(self, params: Params) -> None:
-        self._estimation = params.estimation
-        self._ticks = max(1, round(params.estimation.sample_period * params.piloting.control_rate))
-        self._step = self._ticks / params.piloting.control_rate
-        self.seconds = params.estimation.window * self._step
-        self._states: deque[NDArray] = deque(maxlen=params.estimation.window)
-        self._inputs: deque[NDArray] = deque(maxlen=params.estimation.window)
-        self._pending: list[NDArray] = []
-        self._fresh = False
-        self._last_run: int | None = None
-
-    def push(self, state: NDArray, applied: NDArray) -> None:
-        """Take the state (10,) and the applied body rates (2,) rad/s of one control tick."""
-        self._fresh = len(self._pending) in (0, self._ticks)
-        if self._fresh:
-            if self._pending:
-                self._inputs.append(np.mean(self._pending, axis=0))
-            self._pending = []
-            self._states.append(state)
-        self._pending.append(applied)
-
-    def due(self, now: int | None) -> Window | None:
-        """The window, when it is full, a sample has just been taken, and ``run_period`` has passed since the last."""
-        if now is None or not self._fresh or len(self._states) < self._estimation.window:
-            return None
-        # half a tick of slack, so that a period that is a multiple of the sampling is not missed by rounding
-        if self._last_run is not None and (now - self._last_run) / NANO < self._estimation.run_period - self._step / 24:
-            return None
-        self._last_run = now
-        inputs = np.array([*list(self._inputs)[-(self._estimation.window - 1) :], self._pending[-1]])
-        return Window(np.array(self._states), inputs, self._step)
-
-
-class RawSchedule:
-    """Gathers frames as measured and commands as sent, and keeps the schedule of an estimator of kind "raw".
-
-    Frames count from ``LEAD`` after the first command on: what moved the vehicle before that is not known. The trusted
-    hand-over gets windows of ``first_raw_window`` already, which grow to ``raw_window``.
-    """
-
-    def __init__(self, params: Params) -> None:
-        self._estimation = params.estimation
-        self.seconds = params.estimation.raw_window
-        self._least = params.estimation.first_raw_window if params.piloting.handover == "trusted" else math.inf
-        self._slack = 0.5 / params.piloting.mocap_rate
-        self._sampler = RawSampler(self.seconds)
-        self._first_command: int | None = None
-        self._fresh = False
-        self._last_run: int | None = None
-
-    def push_frame(self, measurement: Measurement) -> None:
-        """Take a frame as it arrives, before the command that answers it."""
-        self._fresh = False
-        if self._first_command is not None and measurement.stamp - self._first_command >= LEAD * NANO:
-            attitude = euler_angles(measurement.vehicle_attitude)
-            self._sampler.push_frame(
-                measurement.stamp, measurement.vehicle_position, measurement.pendulum_position, attitude
-            )
-
-    def push_command(self, now: int, body_rate: NDArray, thrust: float) -> None:
-        """Take the command (3,) rad/s and normalised thrust of a control tick at ``now`` ns."""
-        self._fresh = True
-        if self._first_command is None:
-            self._first_command = now
-        self._sampler.push_command(now, body_rate, thrust)
-
-    def due(self, now: int | None) -> RawWindow | None:
-        """The window, at a control tick, when it is long enough, and ``run_period`` has passed since the last."""
-        if now is None or not self._fresh:
-            return None
-        if self._last_run is not None and (now - self._last_run) / NANO < self._estimation.run_period - self._slack:
-            return None
-        window = self._sampler.window(self._least)
-        if window is not None:
-            self._last_run = now
-        return window
-
-
-SAMPLERS: dict[str, type[WindowSampler] | type[RawSchedule]] = {"states": WindowSampler, "raw": RawSchedule}
-"""What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

@@ -10,8 +10,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.params import Params
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO, Params
+from fiplib.windows import Measurement
 
 BODIES = ("vehicle", "pendulum")
 FARTHEST = 1000.0

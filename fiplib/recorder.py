@@ -22,7 +22,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from fiplib.params import STATE_NAMES, STATES
+from fiplib.params import NANO, STATE_NAMES, STATES
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -34,9 +34,6 @@ POINT = "geometry_msgs/msg/PointStamped"
 JOINTS = "sensor_msgs/msg/JointState"
 ATTITUDE = "mavros_msgs/msg/AttitudeTarget"
 LOG = "rcl_interfaces/msg/Log"
-
-SECOND = 1_000_000_000
-"""Nanoseconds in a second."""
 
 IGNORE_RATES, IGNORE_ATTITUDE = 1 | 2 | 4, 128
 ATTITUDE_DEFINITION = """\
@@ -143,7 +140,7 @@ class Layout(NamedTuple):
     def encode(self, stamp: int, values: Sequence[float] | np.ndarray) -> bytes:
         """One message; ``stamp`` in ns. Raises struct.error if the count of values is wrong."""
         message = bytearray(self.template)
-        struct.pack_into("<iI", message, 4, *divmod(stamp, SECOND))
+        struct.pack_into("<iI", message, 4, *divmod(stamp, NANO))
         struct.pack_into(f"<{self.doubles}d{self.singles}f", message, self.offset, *values)
         return bytes(message)
 
@@ -166,7 +163,7 @@ class Layout(NamedTuple):
                 (self.offset + 8 * self.doubles, "<f4", self.singles),
             )
         )
-        stamp = second[:, 0].astype(np.int64) * SECOND + nanosecond[:, 0]
+        stamp = second[:, 0].astype(np.int64) * NANO + nanosecond[:, 0]
         return stamp, np.concatenate([doubles, singles], axis=1, dtype=np.float64)
 
 
@@ -294,13 +291,13 @@ class Recorder:
         if level not in LEVELS:
             raise BagError(f"{self.path}: no such level {level!r} of an event; levels are {', '.join(LEVELS)}")
         stamp = self._time(stamp)
-        time = typestore().types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
+        time = typestore().types["builtin_interfaces/msg/Time"](*divmod(stamp, NANO))
         message = typestore().types[LOG](time, LEVELS[level], "fip", text, "", "", 0)
         self._put("events", stamp, bytes(typestore().serialize_cdr(message, LOG)))
 
     def _time(self, stamp: int) -> int:
         """A stamp as a plain int (NumPy's integers do not serialise), if it is one that a message can carry."""
-        if not 0 <= stamp < 2**31 * SECOND:
+        if not 0 <= stamp < 2**31 * NANO:
             raise BagError(f"{self.path}: the stamp {stamp} ns does not fit into a ROS time (0 to 2038)")
         return int(stamp)
 

@@ -25,15 +25,8 @@ _METADATA, _METADATA_INDEX, _DATA_END = 12, 13, 15
 # Records that consist of some bytes and then of so many blocks, each behind its length in 4 bytes: header, footer,
 # schema, channel, index of messages, metadata, end of the data.
 _SHAPES = {1: (0, 2), 2: (20, 0), 3: (2, 3), 4: (4, 3), 7: (2, 1), 12: (0, 2), 15: (4, 0)}
-_SUMMARY = (
-    3,
-    4,
-    8,
-    10,
-    11,
-    13,
-    14,
-)  # records that only come between the end of the data and the footer, and may be any
+# Records that come between the end of the data and the footer, and may hold anything.
+_SUMMARY = (3, 4, 8, 10, 11, 13, 14)
 _DAMAGE = 0  # no opcode of MCAP: stands for bytes that are no record
 # Opcode and length of a message, a chunk or a metadata record; lengths from 2^40 on are none.
 _HEAD = re.compile(rb"(?=[\x05\x06\x0c].{5}\x00{3})", re.DOTALL)

@@ -14,7 +14,8 @@ from rosbags.rosbag2.storage_mcap import get_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
-from fiplib.recorder import SECOND, SIDECAR, BagError, close_bag, genuine, open_bag
+from fiplib.params import NANO
+from fiplib.recorder import SIDECAR, BagError, close_bag, genuine, open_bag
 from fiplib.records import Gap, Remains
 
 __all__ = ["Recovery", "Saved", "intact_messages", "recover"]
@@ -50,7 +51,7 @@ class Recovery(NamedTuple):
     @property
     def seconds(self) -> float:
         """From the first message saved to the last, in s."""
-        return (self.end_ns - self.start_ns) / SECOND
+        return (self.end_ns - self.start_ns) / NANO
 
     def describe(self) -> str:
         """What was saved and what was lost, in lines."""
@@ -77,9 +78,9 @@ class Recovery(NamedTuple):
             elif gap.start is None:
                 where = "at the beginning"
             elif gap.end is None:
-                where = f"after {(gap.start - self.start_ns) / SECOND:.3f} s, to the end of the file"
+                where = f"after {(gap.start - self.start_ns) / NANO:.3f} s, to the end of the file"
             else:
-                start, end = ((stamp - self.start_ns) / SECOND for stamp in (gap.start, gap.end))
+                start, end = ((stamp - self.start_ns) / NANO for stamp in (gap.start, gap.end))
                 where = f"between {start:.3f} and {end:.3f} s"
             losses.append(f"{gap.size} damaged bytes {where}")
         if self.nameless:

@@ -16,22 +16,11 @@ from fiplib.bags import BagError, Event, Flight, Poses, Series
 from fiplib.dynamics import euler_angles
 from fiplib.handover import HANDOVERS
 from fiplib.kalman import Window
-from fiplib.params import STATE_NAMES, STATES, Params
-from fiplib.pilot import (
-    NANO,
-    REFERENCES,
-    SAMPLERS,
-    Measurement,
-    Observer,
-    Pilot,
-    RawSchedule,
-    Reference,
-    WindowSampler,
-    estimator_of,
-)
+from fiplib.params import NANO, STATE_NAMES, STATES, Params
+from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
 from fiplib.recorder import ROLES
 from fiplib.simulate import Scenario, Tape
-from fiplib.windows import RawSampler, RawWindow
+from fiplib.windows import SAMPLERS, Measurement, RawSampler, RawSchedule, RawWindow, WindowSampler
 
 
 class TimedWindow(NamedTuple):

@@ -22,9 +22,8 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 
 from fiplib.failsafe import Mode, Setpoint, disarmed, levelling
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 
-NANO = 1_000_000_000
 WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
 MODES = list(Mode)

@@ -21,17 +21,15 @@ from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
 from fiplib.kalman import Window
 from fiplib.likelihood import Estimate
 from fiplib.mpc import Status
-from fiplib.params import GRAVITY, STATE_NAMES, Params
-from fiplib.pilot import NANO, Circle, Command, Hover, Measurement, Pilot, Reference, estimator_of
-from fiplib.windows import RawWindow
+from fiplib.params import GRAVITY, NANO, Params
+from fiplib.pilot import Circle, Command, Hover, Pilot, Reference, estimator_of
+from fiplib.windows import Measurement, RawWindow
 
 EPOCH = 1_767_225_600 * NANO
 """Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
 
 FALLEN = math.cos(math.radians(60.0))
 """A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
-
-TRUTH_NAMES = (*STATE_NAMES, "z")
 
 
 class Push(NamedTuple):
@@ -185,7 +183,7 @@ class Plant:
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
-        """The ten true states and the height z, in the order of ``TRUTH_NAMES``."""
+        """The ten true states and the height z, in the order of ``recorder.ROLES["truth_state"]``."""
         x, r = self.x, self._radius
         phi, theta, _ = euler_angles(x[6:10])
         a, b, a_dot, b_dot = r * x[10], r * x[11], r * x[13], r * x[14]

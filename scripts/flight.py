@@ -21,7 +21,7 @@ from view import Snapshot, View
 from fiplib.failsafe import Guard, Mode, Setpoint
 from fiplib.kalman import Window
 from fiplib.likelihood import Estimate
-from fiplib.pilot import NANO
+from fiplib.params import NANO
 from fiplib.simulate import Outcome, Recorder, Scenario
 from fiplib.windows import RawWindow
 
@@ -250,11 +250,11 @@ class Flight:
         if self._estimator is None:
             return
         estimate = self._estimator.deliver(now, guard.window_due())
-        for level, text in getattr(self._estimator, "remarks", ()):
+        remarks = getattr(self._estimator, "remarks", [])
+        while remarks:  # one at a time: another thread may add to them
+            level, text = remarks.pop(0)
             recorder.event(now, level, text)
             self._say(text)
-        if hasattr(self._estimator, "remarks"):
-            self._estimator.remarks.clear()
         if estimate is None:
             return
         if estimate.reason is None:

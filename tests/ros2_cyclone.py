@@ -15,7 +15,8 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from numpy.typing import NDArray
 
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO
+from fiplib.windows import Measurement
 
 LOOPBACK = """<CycloneDDS><Domain Id="any">
 <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>

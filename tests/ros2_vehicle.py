@@ -30,10 +30,11 @@ from links.ros2 import urgent_threads
 from links.sim import SimulatedVehicle
 
 from fiplib.failsafe import Mode, Setpoint
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO
 from fiplib.recorder import ROLES
 from fiplib.sender import urgent
 from fiplib.simulate import SCENARIOS, Scenario
+from fiplib.windows import Measurement
 
 BODIES = ("vehicle", "pendulum")
 

@@ -11,11 +11,11 @@ from fiplib.bags import BagError, Flight
 from fiplib.bound import NUISANCES, Motion, cramer_rao, motion
 from fiplib.dynamics import coupled_plant, rk4
 from fiplib.likelihood import maximum_likelihood
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import Scenario, Tape, fly
 from fiplib.studies import bounds
-from fiplib.windows import NANO, RawWindow
+from fiplib.windows import RawWindow
 
 PARAMS = Params()
 

@@ -41,8 +41,8 @@ from fiplib.crsf import (
     throttle,
 )
 from fiplib.failsafe import Guard, Mode, Setpoint, disarmed
-from fiplib.params import PHI, THETA, Params
-from fiplib.sender import NANO, Sender, SenderError
+from fiplib.params import NANO, PHI, THETA, Params
+from fiplib.sender import Sender, SenderError
 from fiplib.simulate import SCENARIOS, Scenario, Tape
 
 ROOT = Path(__file__).parent.parent

@@ -13,11 +13,11 @@ from fiplib.bags import BagError, Flight
 from fiplib.bound import cramer_rao, motion
 from fiplib.estimators import ESTIMATORS, IMPROVED, Estimate
 from fiplib.likelihood import LARGEST_SPREAD, NUISANCES, maximum_likelihood
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import Push, Scenario, Tape, fly
 from fiplib.studies import estimators as study
-from fiplib.windows import NANO, RawWindow
+from fiplib.windows import RawWindow
 
 # A resolution of 1 mm: a tenth of the time, and still small beside any spread below
 PARAMS = Params().replace(estimation__resolution=1e-3)

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from fiplib import bags, replay
 from fiplib.failsafe import Guard, Mode, Setpoint, TiltPredictor, disarmed
 from fiplib.mpc import Status
-from fiplib.params import Params
-from fiplib.pilot import NANO, Hover, Measurement, Pilot
+from fiplib.params import NANO, Params
+from fiplib.pilot import Hover, Pilot
 from fiplib.simulate import EPOCH, SCENARIOS
+from fiplib.windows import Measurement
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fiplib import faults
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO
+from fiplib.windows import Measurement
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiplib.failsafe import Mode, Setpoint, disarmed
-from fiplib.params import Params
-from fiplib.sender import NANO, DeadMan, Sender, SenderError, decode, encode
+from fiplib.params import NANO, Params
+from fiplib.sender import DeadMan, Sender, SenderError, decode, encode
 
 PARAMS = Params()
 SAFETY = PARAMS.safety

@@ -24,10 +24,9 @@ import numpy as np
 from fiplib import replay
 from fiplib.bags import Flight
 from fiplib.bound import NUISANCES, cramer_rao, motion
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 from fiplib.simulate import Scenario, Tape, fly
 from fiplib.studies.landscapes import EXCITATIONS, RODS
-from fiplib.windows import NANO
 
 KEYS = ("excitation", "rod", "noise", "knowledge")
 

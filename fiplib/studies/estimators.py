@@ -21,10 +21,9 @@ from fiplib import replay
 from fiplib.bags import Flight
 from fiplib.bound import NUISANCES, cramer_rao, motion
 from fiplib.estimators import ESTIMATORS, Estimate
-from fiplib.params import Params
+from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import Scenario, Tape, fly
-from fiplib.windows import NANO
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 

@@ -19,8 +19,8 @@ from fiplib import kalman, replay
 from fiplib.bags import Flight
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
-from fiplib.params import A_DOT, AXES, Estimation, Params
-from fiplib.pilot import NANO, Circle, Hover, Reference
+from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
+from fiplib.pilot import Circle, Hover, Reference
 from fiplib.simulate import Scenario, Tape, fly
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from fiplib.failsafe import Setpoint
-from fiplib.pilot import Measurement
 from fiplib.simulate import Scenario
+from fiplib.windows import Measurement
 
 
 class LinkError(Exception):

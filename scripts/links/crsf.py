@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from fiplib.crsf import BAUDS, FRAME_BYTES, Encoder
 from fiplib.failsafe import Setpoint
-from fiplib.params import Params
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO, Params
 from fiplib.sender import Sender, SenderError
 from fiplib.simulate import Scenario
+from fiplib.windows import Measurement
 from links import LinkError
 from links.sim import SimLink
 

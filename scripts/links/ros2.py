@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.failsafe import Setpoint
-from fiplib.params import STATE_NAMES
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO, STATE_NAMES
 from fiplib.recorder import IGNORE_ATTITUDE, ROLES
 from fiplib.sender import Sender, SenderError
 from fiplib.simulate import Scenario
+from fiplib.windows import Measurement
 from links import LinkError
 
 PRESETS = {

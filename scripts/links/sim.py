@@ -24,9 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.failsafe import Setpoint
-from fiplib.pilot import NANO, Measurement
+from fiplib.params import NANO
 from fiplib.sender import Sender, SenderError, decode, encode, ignore_the_terminal, urgent
 from fiplib.simulate import EPOCH, Mocap, Plant, Scenario
+from fiplib.windows import Measurement
 from links import Link, LinkError
 
 FRAME = struct.Struct("<q25d")
