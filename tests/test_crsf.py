@@ -446,6 +446,20 @@ def test_when_the_process_that_owns_the_port_is_killed_another_takes_it_and_disa
 
 
 @pytest.mark.realtime
+def test_whichever_call_first_meets_a_port_that_is_gone_it_is_told_in_plain_words(module, monkeypatch):
+    sink = CrsfSink(module.name, PARAMS)
+    sink.send(flown())
+    module.unplug()
+    gone = rf"{module.name} is gone \(Input/output error\): is the module still plugged in\?"
+    with pytest.raises(OSError, match=gone):  # emptying the input: a termios.error, which is no OSError
+        sink.send(flown())
+    monkeypatch.setattr(sink._port, "reset_input_buffer", lambda: None)
+    with pytest.raises(OSError, match=gone):  # asking how much waits
+        sink.send(flown())
+    sink.close()
+
+
+@pytest.mark.realtime
 def test_an_unplugged_port_is_a_fault_in_plain_words_and_a_missing_one_stays_it(module):
     module.listen()
     with sender(module) as one:

@@ -10,8 +10,8 @@ import errno
 import functools
 import os
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -180,9 +180,10 @@ class CrsfSink:
         now = time.monotonic_ns()
         frame = self._encoder.frame(now, setpoint)
         try:
-            self._port.reset_input_buffer()  # telemetry, or the echo on a single wire
-            if self._port.out_waiting <= QUEUE and self._write(frame):
-                self._taken = now
+            with _plain_errors():
+                self._port.reset_input_buffer()  # telemetry, or the echo on a single wire
+                if self._port.out_waiting <= QUEUE and self._write(frame):
+                    self._taken = now
         except OSError as error:
             raise OSError(f"{self._name} is gone ({_reason(error)}): is the module still plugged in?") from error
         if now - self._taken > STUCK * NANO:
@@ -201,12 +202,26 @@ class CrsfSink:
 
     def close(self) -> None:
         end = time.monotonic() + DRAIN
-        with suppress(OSError):
+        with suppress(OSError), _plain_errors():
             while self._port.out_waiting and time.monotonic() < end:
                 time.sleep(0.001)
             if self._port.out_waiting:
                 self._port.reset_output_buffer()  # else the system waits for a stuck port, up to half a minute
         self._port.close()
+
+
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    """A terminal's errors as ``OSError``: when a cable is pulled, pyserial lets some through as ``termios.error``."""
+    try:
+        import termios
+    except ImportError:  # not on Windows
+        yield
+        return
+    try:
+        yield
+    except termios.error as error:
+        raise OSError(*error.args) from error
 
 
 def _open(port: str, baud: int) -> Any:
