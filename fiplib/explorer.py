@@ -106,6 +106,14 @@ class Explorer:
                 entry.value = TOPICS[role]
             self.load_bag()
 
+    def take_own(self, *_: object) -> None:
+        """Load a bag by its path as soon as path or topics change.
+
+        A page may deliver the press of *Load* before the text typed just before it: then it is this that loads the bag.
+        """
+        if self.path.value.strip():
+            self.load_bag()
+
     def draw(self, *_: object) -> None:
         """Bring the two views of the flight up to date."""
         if self.flight is not None:
@@ -329,6 +337,8 @@ class Explorer:
         for name in (self.convention, self.vehicle_name, self.pendulum_name):
             name.observe(self._name_topics, "value")
         self.bag.observe(self.take_bag, "value")
+        for name in (self.path, *self.topics.values()):
+            name.observe(self.take_own, "value")
         for view in (self.span, self.zoom):
             view.observe(self.draw, "value")
         for setting in (self.span, self.period, self.reading, self.process, self.measurement, self.seed):

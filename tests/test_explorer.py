@@ -97,6 +97,18 @@ def test_a_bad_bag_is_text_in_the_page_and_the_flight_before_stays(page: Explore
     assert page.refits, "the flight before can still be refitted"
 
 
+def test_a_path_loads_its_bag_even_if_the_press_of_the_button_arrives_before_it(page: Explorer, tmp_path: Path) -> None:
+    page.load.click()
+    assert page.flight.path.name == "estimate-1.4"
+    page.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "elsewhere", POSES))
+    assert page.flight.path.name == "elsewhere" and page.bag.value == ""
+    page.load.click()
+    page.topics["vehicle"].value = "/other"
+    assert "no topic /other" in page.message.value
+    page.bag.value = "circle-0.8"
+    assert page.flight.path.name == "circle-0.8" and not page.path.value
+
+
 def test_bags_of_other_laboratories_are_read_by_convention_and_names(page: Explorer, tmp_path: Path) -> None:
     for convention, pattern in list(CONVENTIONS.items())[1:]:
         names = dict(zip(POSES, (pattern.format("drone_3"), pattern.format("stick")), strict=True))
