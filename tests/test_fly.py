@@ -128,6 +128,7 @@ def assert_replays(flight: bags.Flight) -> None:
     assert count > 1
 
 
+@pytest.mark.realtime
 def test_in_real_time_a_length_is_estimated_beside_the_flight_and_a_bag_is_recorded(tmp_path):
     made = fly(
         "--scenario", "estimate-1.4", "--set", "estimation.estimator=maximum_likelihood", "--real-time",
@@ -147,6 +148,7 @@ def test_in_real_time_a_length_is_estimated_beside_the_flight_and_a_bag_is_recor
     assert_replays(flight)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("number", "reason"), [(signal.SIGINT, "operator abort (Ctrl-C)"), (signal.SIGHUP, "terminal lost (SIGHUP)")]
 )
