@@ -155,7 +155,7 @@ figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
 
 figures/table10-rates.csv figures/table10-rates.tex: benchmarks/sweep_rates.csv
 figures/fig13-deadlines.pdf figures/fig13-deadlines.png: benchmarks/deadlines.csv
-$(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv $(call table_files,$(studies_claims))
+$(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv benchmarks/deadlines.csv $(call table_files,$(studies_claims))
 $(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
 $(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
 

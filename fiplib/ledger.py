@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit code: 0, or 2 with one line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m fiplib.ledger", description="Hold our flights against the paper.")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--benchmarks", type=Path, default=Path("benchmarks"), help="folder of solve_times.csv")
+    parser.add_argument("--benchmarks", type=Path, default=Path("benchmarks"), help="folder of their tables")
     parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder for claims.csv and claims.txt")
     parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder for the LaTeX files")
     options = parser.parse_args(arguments)

@@ -417,6 +417,14 @@ def test_real_time_is_read_off_the_benchmark_and_open_without_it(tmp_path):
 # --- the ledger
 
 
+@pytest.mark.parametrize(("machine", "ours", "held"), [(15, 0, Verdict.STATED), (14, 1, Verdict.NOT)])
+def test_a_tick_that_the_machine_cannot_be_blamed_for_counts_as_stalled(machine, ours, held):
+    table = {"missed": 15.0, "missed_machine": machine, "minutes": 10.0, "cores": 2.0, "ticks": 72000.0}
+    found = claims.stalled_ticks(None, table)
+    assert (found.value, found.verdict) == (ours, held) and f"miss {machine}, our code {ours}" in found.reading
+    assert claims.stalled_ticks(None, {}).verdict is Verdict.OPEN
+
+
 def test_the_papers_numbers_are_those_it_prints():
     table3 = {"G1": (14.68, 0.027, 0.973), "G2": (3.99, 0.029, 1.029), "G3": (12.43, 0.0, 1.0)}
     for name, numbers in table3.items():
