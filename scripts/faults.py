@@ -28,7 +28,7 @@ import sys
 import tempfile
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ LEVEL = math.radians(10.0)
 """A vehicle that is disarmed with less tilt than this came down level: what tests/test_failsafe.py asks for, rad."""
 DISARM_SECONDS = 0.5
 """Level-and-disarm frames for at least so long at the end: ExpressLRS and Betaflight need that, s."""
+NEVER = (math.inf, math.inf)
 BRIDGED = "balanced"
 OPERATOR = "the operator"
 DEAD = "the death of a process without which nobody flies"
@@ -97,8 +98,8 @@ class Fault:
     solver: Callable[["FaultyLink", Pilot], None] | None = None
     estimator: Callable[["FaultyLink"], Callable[[Estimate], Estimate | None]] | None = None
     aborts: tuple[float, ...] = ()
-    blind: tuple[float, float] = (math.inf, math.inf)
-    deaf: tuple[float, float] = (math.inf, math.inf)
+    blind: tuple[float, float] = NEVER
+    deaf: tuple[float, float] = NEVER
     demanded: str = ""
     hit: Callable[["Witness"], None] | None = None
     arguments: tuple[str, ...] = ()
@@ -267,8 +268,9 @@ def judged(fault: Fault, link: FaultyLink, guard: Guard, error: str, bag: str) -
     vehicle = BRIDGED if balanced else f"rod given up, {touched(tilt, disarm[10], safety.floor)}"
     safe = not error and not_finite == 0 and out == 0 and held >= DISARM_SECONDS and bag == "valid"
     perfect = exact(scenario)
-    blind = fault.blind[0] < math.inf or fault.deaf[0] < math.inf
-    gaps = exact(scenario, fault.blind, fault.deaf) if blind else None
+    gaps = exact(scenario, fault.blind) if fault.blind != NEVER else None
+    if fault.deaf != NEVER:
+        gaps = exact_after(scenario, fault.deaf, dict(link.sent))
     return {
         "group": fault.group,
         "what": fault.what,
@@ -329,23 +331,31 @@ def modes_of(path: Sequence[Mode]) -> str:
     return f"{counts}; at last {path[-1].value}"
 
 
-NEVER = (math.inf, math.inf)
-
-
-@functools.cache
-def exact(scenario: Scenario, blind: tuple[float, float] = NEVER, deaf: tuple[float, float] = NEVER) -> bool:
-    """Whether a controller with perfect information keeps the rod up: true states, without noise, and the true length.
-
-    It is the pilot without failsafe: while it is blind it flies the plan that it had, by time.
-    """
+def informed(scenario: Scenario) -> tuple[VirtualLink, Pilot]:
+    """A vehicle and a controller with perfect information: true states, without noise, and the true length."""
     params = scenario.params.replace(
         simulation__position_noise=0.0,
         simulation__attitude_noise=0.0,
         piloting__initial_length=scenario.params.pendulum.length,
         piloting__estimate=False,
     )
-    informed = replace(scenario, params=params)
-    link, pilot = VirtualLink(informed), Pilot(params, scenario.reference)
+    return VirtualLink(replace(scenario, params=params)), Pilot(params, scenario.reference)
+
+
+def lost(link: VirtualLink, scenario: Scenario) -> bool:
+    """Whether the rod has fallen or the vehicle has left the fence."""
+    outside = np.abs(link.vehicle.plant.x[:3]) > scenario.params.safety.fence
+    return link.vehicle.plant.fallen or bool(outside.any())
+
+
+@functools.cache
+def exact(scenario: Scenario, blind: tuple[float, float] = NEVER) -> bool:
+    """Whether a controller with perfect information keeps the rod up.
+
+    It is the pilot without failsafe: while it is blind it flies the plan that it had, by time.
+    """
+    params = scenario.params
+    link, pilot = informed(scenario)
     now, frame = link.receive(0.0) or (EPOCH, None)
     plan: tuple[int, NDArray] | None = None
     thrust, told = 0.0, -math.inf
@@ -360,11 +370,36 @@ def exact(scenario: Scenario, blind: tuple[float, float] = NEVER, deaf: tuple[fl
         elif plan is not None and now - told >= NANO / params.piloting.control_rate - 1:
             node = min(int((now - plan[0]) / NANO / params.control.step), len(plan[1]) - 1)
             setpoint, told = Setpoint(now, True, Mode.FLYING, np.array([*plan[1][node], 0.0]), thrust), now
+        if setpoint is not None:
+            link.send(setpoint)
+        now, frame = link.receive(0.0) or (now, frame)
+        if lost(link, scenario):
+            return False
+    return True
+
+
+def exact_after(scenario: Scenario, deaf: tuple[float, float], sent: Mapping[int, Setpoint]) -> bool:
+    """Whether a controller with perfect information keeps the rod that takes over when the vehicle went deaf.
+
+    Until then the vehicle has flown on the setpoints ``sent``, by time in ns; so the one that it holds while no command
+    gets through is the one that it held.
+    """
+    link, pilot = informed(scenario)
+    now, frame = link.receive(0.0) or (EPOCH, None)
+    while (at := (link.vehicle.flown or 0) / scenario.params.piloting.mocap_rate) < scenario.duration:
+        tick = pilot.observe(now, frame)
+        if at < deaf[0]:
+            setpoint = sent.get(now)
+        elif tick is not None:
+            solution = pilot.solve(tick)
+            command = pilot.answer(tick, solution.input, solution.status)
+            setpoint = Setpoint(now, True, Mode.FLYING, command.body_rate, command.thrust)
+        else:
+            setpoint = None
         if setpoint is not None and not deaf[0] <= at < deaf[1]:
             link.send(setpoint)
         now, frame = link.receive(0.0) or (now, frame)
-        outside = np.abs(link.vehicle.plant.x[:3]) > scenario.params.safety.fence
-        if link.vehicle.plant.fallen or outside.any():
+        if lost(link, scenario):
             return False
     return True
 
