@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.rosbag2 import Reader
 
+from fiplib import console
 from fiplib.params import NANO, Params
 from fiplib.recorder import (
     IGNORE_RATES,
@@ -439,4 +440,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(console.run(main))

@@ -122,7 +122,8 @@ def pushes_kept(paper: float, flight: Flight) -> Finding:
     times, fell = push_times(flight), fall_time(flight)
     kept = sum(fell > until for until in [*times[1:], flight.duration])
     when = ", ".join(f"{time:.1f}" for time in times)
-    words = f"Pushed at {when} s, as hard as we chose (D2). Up: the rod leans less than {math.degrees(FALL_ANGLE):.0f} deg"
+    words = f"Pushed at {when} s, as hard as we chose (D2). Up: the rod leans less than "
+    words += f"{math.degrees(FALL_ANGLE):.0f} deg"
     return Finding(kept, verdict(kept == len(times) == paper), words)
 
 
@@ -383,8 +384,8 @@ def stalled_ticks(paper: None, table: Mapping[str, float]) -> Finding:
     ours = table["missed"] - table["missed_machine"]
     words = (
         f"{table['minutes']:.0f} min in real time on {table['cores']:.0f} cores, the GA in its own process: of "
-        f"{table['ticks']:.0f} ticks the machine itself made us miss {table['missed_machine']:.0f}, our code {ours:.0f}. "
-        "The vehicle was simulated, its computer not tried"
+        f"{table['ticks']:.0f} ticks the machine itself made us miss {table['missed_machine']:.0f}, our code "
+        f"{ours:.0f}. The vehicle was simulated, its computer not tried"
     )
     return Finding(ours, verdict(ours == 0), words, {"minutes": table["minutes"], "machine": table["missed_machine"]})
 

@@ -19,7 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fiplib import bags, claims, findings, journal, measures, summaries, tables
+from fiplib import bags, claims, console, findings, journal, measures, summaries, tables
 from fiplib.bags import BagError, Flight
 from fiplib.params import STATES, Params
 from fiplib.style import BLUE, COLUMN, GREEN, GREY, ORANGE, STYLE, origin
@@ -359,4 +359,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(console.run(main))

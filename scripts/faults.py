@@ -40,7 +40,7 @@ from links.sim import FRAME, LoopbackSink, VirtualLink
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from fiplib import bags, faults
+from fiplib import bags, console, faults
 from fiplib.failsafe import Guard, Mode, Setpoint, disarmed
 from fiplib.faults import FrameFault
 from fiplib.journal import Journal, JournalError
@@ -1001,4 +1001,4 @@ def summary(path: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(console.run(main))

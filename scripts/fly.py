@@ -26,7 +26,7 @@ from links import LinkError, available
 from tqdm import tqdm
 from view import View
 
-from fiplib import bags, simulate
+from fiplib import bags, console, simulate
 from fiplib.estimator_process import EstimatorProcess
 from fiplib.failsafe import Guard
 from fiplib.live import LiveRecorder
@@ -190,4 +190,4 @@ def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Name
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(console.run(main))
