@@ -18,29 +18,30 @@ from fiplib.summaries import LABELS, SHOWN_READINGS, pooled
 
 
 def fig7_survival(rows: Rows) -> Figure:
-    """Fig. 7: where the MPC survives a wrong length: growth rate of the linear loop beside simulated seconds flown."""
-    figure = Figure(figsize=(COLUMN, 3.9), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    """Fig. 7: where the MPC survives a wrong length: growth rate and delay margin of the linear loop, seconds flown."""
+    figure = Figure(figsize=(COLUMN, 4.6), layout="constrained")
+    panels = figure.subplots(3, 2, sharex=True, sharey=True)
     used = sorted({row["used_length"] for row in rows})
     true = sorted({row["true_length"] for row in rows})
-    meshes = {}
-    for line, rod in zip(panels, ("uniform", "point mass"), strict=True):
-        cells = {(row["true_length"], row["used_length"]): row for row in rows if row["rod"] == rod}
-        for axes, column in zip(line, ("growth_rate", "flown"), strict=True):
-            values = np.array([[cells[y, x][column] for x in used] for y in true])
-            colours = {"cmap": "RdBu_r", "vmin": -2, "vmax": 2} if column == "growth_rate" else {"cmap": "cividis"}
+    # column of the table, factor to the unit shown, label, colours
+    quantities = (
+        ("growth_rate", 1.0, "growth rate (1/s)", {"cmap": "RdBu_r", "vmin": -2, "vmax": 2}),
+        ("delay_margin", 1e3, "delay margin (ms)", {"cmap": "cividis", "vmin": 0}),
+        ("flown", 1.0, "flown, of 12 s (s)", {"cmap": "cividis"}),
+    )
+    for line, (name, factor, label, colours) in zip(panels, quantities, strict=True):
+        for axes, rod in zip(line, ("uniform", "point mass"), strict=True):
+            cells = {(row["true_length"], row["used_length"]): row[name] for row in rows if row["rod"] == rod}
+            values = factor * np.array([[cells[y, x] for x in used] for y in true])
+            colours["vmax"] = colours.get("vmax", factor * max(row[name] for row in rows))
             mesh = axes.pcolormesh(used, true, values, shading="nearest", rasterized=True, **colours)
-            axes.plot(true, true, color="white" if column == "flown" else "black", lw=0.8, ls="--")
-            if rod == "uniform":
-                axes.set_title("linear theory" if column == "growth_rate" else "simulated flights")
-            meshes[column] = mesh
-        line[0].set_ylabel(f"{rod}:\ntrue length (m)")
-    labels = {"growth_rate": "growth rate (1/s)", "flown": "flown, of 12 s (s)"}
-    for column, axes in zip(range(2), panels[1], strict=True):
-        name = list(labels)[column]
-        axes.set_xlabel("length used (m)")
-        figure.colorbar(meshes[name], ax=panels[:, column], location="bottom", label=labels[name], aspect=14)
-    origin(figure, "simulated, dashed: the lengths agree")
+            axes.plot(true, true, color="black" if name == "growth_rate" else "white", lw=0.8, ls="--")
+        line[0].set_ylabel("true length (m)")
+        figure.colorbar(mesh, ax=line, label=label, aspect=12)
+    for axes, rod in zip(panels[0], ("uniform rod", "point mass"), strict=True):
+        axes.set(title=rod, xticks=(0.5, 1.0, 1.5, 2.0))
+    figure.supxlabel("length used (m)", fontsize="medium")
+    origin(figure, "linear theory (two rows), simulated flights; dashed: lengths agree")
     return figure
 
 
