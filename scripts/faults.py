@@ -11,6 +11,8 @@ timing. Everything is simulated: nothing here has flown on a vehicle. Rows gathe
 stopped at any time, the same command goes on from there.
 """
 
+import fiplib  # isort: skip # noqa: F401 - first: it says how many threads NumPy may have
+
 import argparse
 import contextlib
 import csv
@@ -821,7 +823,7 @@ def judged_processes(
     upright = all(math.hypot(*truth[[4, 6]]) < 0.4 for at, truth in witness.truths if at <= up[-1])
     # the flight's end is told by the arrival of a frame
     balanced = (up[-1] - began) / NANO > duration - 0.1 and upright
-    ended = (re.search(r"not balanced to the end \((.*?)\); wrote", said) or [None, ""])[1]
+    ended = (re.search(r"not balanced to the end \((.*?)\)(?:; wrote|$)", said, re.M) or [None, ""])[1]
     after = [truth for at, truth in witness.truths if at > (tail[0] if len(tail) else last_armed)]
     level = not after or math.acos(math.cos(after[0][8]) * math.cos(after[0][9])) < LEVEL
     if balanced:

@@ -10,6 +10,8 @@ The vehicle is simulated unless --link says otherwise, and the bag says which. N
 In real time, Ctrl-C lands (levels and descends; the rod is given up); a second one stops the motors.
 """
 
+import fiplib  # isort: skip # noqa: F401 - first: it says how many threads NumPy may have
+
 import argparse
 import ast
 import contextlib
@@ -149,44 +151,53 @@ def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Name
     real_time = options.link != "sim" or options.real_time
     metadata = {**scenario.metadata(), "origin": link.origin, "link": options.link, "real_time": real_time}
     metadata["params"] = scenario.params.to_dict()  # those of the failsafe too
-    # left in reverse order: the commands end first, in good order, then the rest
-    with contextlib.ExitStack() as stack:
-        operator = stack.enter_context(Operator(ask))
-        view, estimator = None, None
-        if real_time:
-            recorder: bags.Recorder = stack.enter_context(LiveRecorder(output, metadata))
-            if scenario.params.piloting.estimate:
-                estimator = stack.enter_context(EstimatorProcess(scenario.params, scenario.seed))
-            view = stack.enter_context(View())
-            view.say("starting; Ctrl-C lands, a second one stops the motors")
-            if ask:
-                view.say("Enter arms once the vehicle is ready, Enter again lands")
-        else:
-            recorder = stack.enter_context(bags.Recorder(output, metadata))
-            estimator = simulate.SimulatedEstimator(scenario.params, scenario.seed)
-        guard = Guard(scenario.params, scenario.reference)
-        try:
-            stack.enter_context(link)
-        except LinkError:
-            stack.close()
-            shutil.rmtree(output, ignore_errors=True)  # nothing was flown: leave no empty bag behind
+    outcome, unrecorded = None, ""
+    try:
+        # left in reverse order: the commands end first, in good order, then the rest
+        with contextlib.ExitStack() as stack:
+            operator = stack.enter_context(Operator(ask))
+            view, estimator = None, None
+            if real_time:
+                recorder: bags.Recorder = stack.enter_context(LiveRecorder(output, metadata))
+                if scenario.params.piloting.estimate:
+                    estimator = stack.enter_context(EstimatorProcess(scenario.params, scenario.seed))
+                view = stack.enter_context(View())
+                view.say("starting; Ctrl-C lands, a second one stops the motors")
+                if ask:
+                    view.say("Enter arms once the vehicle is ready, Enter again lands")
+            else:
+                recorder = stack.enter_context(bags.Recorder(output, metadata))
+                estimator = simulate.SimulatedEstimator(scenario.params, scenario.seed)
+            guard = Guard(scenario.params, scenario.reference)
+            try:
+                stack.enter_context(link)
+            except LinkError:
+                stack.close()
+                shutil.rmtree(output, ignore_errors=True)  # nothing was flown: leave no empty bag behind
+                raise
+            if real_time:
+                urgent(1)
+            flight = Flight(scenario, link, guard, recorder, estimator, operator, view)
+            started = time.perf_counter()
+            outcome = flight.run()
+            seconds = time.perf_counter() - started
+    except bags.BagError as error:
+        if outcome is None:
             raise
-        if real_time:
-            urgent(1)
-        flight = Flight(scenario, link, guard, recorder, estimator, operator, view)
-        started = time.perf_counter()
-        outcome = flight.run()
-        seconds = time.perf_counter() - started
+        unrecorded = str(error)
     end = "still balanced" if outcome.survived else "not balanced to the end"
     clockwork = flight.clockwork
+    wrote = "" if unrecorded else f"; wrote {output}"
     with contextlib.suppress(OSError):  # the terminal may be gone
-        print(f"{link.origin}: {outcome.duration:.2f} s in {seconds:.1f} s, {end} ({guard.ended}); wrote {output}")
+        print(f"{link.origin}: {outcome.duration:.2f} s in {seconds:.1f} s, {end} ({guard.ended}){wrote}")
         if real_time:
             print(
                 f"{clockwork.ticks} ticks, {clockwork.late_ours} answered late, {clockwork.late_machine} with late "
                 f"poses; worst answer after {1e3 * clockwork.worst_solve:.1f} ms"
             )
-    return 130 if operator.reason else 0
+        if unrecorded:
+            print(f"fly.py: {unrecorded}", file=sys.stderr)
+    return 130 if operator.reason else 2 if unrecorded else 0
 
 
 if __name__ == "__main__":

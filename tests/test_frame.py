@@ -170,6 +170,19 @@ def test_numpy_knows_every_kernel_that_is_switched_off():
     assert not set(run.stdout.split()) & set(NUMERIC_ENVIRONMENT["NPY_DISABLE_CPU_FEATURES"].split())
 
 
+@pytest.mark.parametrize("program", ["fly", "firmware", "faults", None])
+def test_numpy_has_one_thread_without_make_too(program):
+    """Beside busy cores, threads that wait for each other make a small QR decomposition 150 times slower."""
+    start = f"import sys; sys.path.insert(0, 'scripts'); import {program}" if program else "import fiplib.likelihood"
+    tasks = "import os; print(len(os.listdir('/proc/self/task')) if os.path.isdir('/proc/self/task') else 1)"
+    work = "import numpy as np; np.linalg.qr(np.ones((2000, 40)))"
+    bare = {name: value for name, value in os.environ.items() if name not in NUMERIC_ENVIRONMENT}
+    run = subprocess.run(
+        [sys.executable, "-c", f"{start}; {work}; {tasks}"], capture_output=True, text=True, env=bare, cwd=ROOT
+    )
+    assert run.stdout == "1\n", run.stderr
+
+
 def test_no_file_names_this_machine_or_a_package_index():
     here = {str(path) for path in (ROOT, ROOT.parent, Path.home())} - {"/", tempfile.gettempdir()}
     offences = []
