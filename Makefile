@@ -34,6 +34,7 @@ reads_table7-weights :=
 reads_table8-handover :=
 reads_table9-landscapes :=
 reads_table10-rates :=
+reads_table11-imperfections :=
 
 # The tables of studies (`make sweep`) that some of them read, from data/sweeps/.
 studies_fig7-survival := survival
@@ -47,10 +48,11 @@ studies_table6-readings := ledger_seeds ledger_readings
 studies_table7-weights := weights
 studies_table8-handover := handover
 studies_table9-landscapes := landscapes
-studies_claims := ledger_seeds length_jumps estimators weights handover bounds
+studies_table11-imperfections := imperfections
+studies_claims := ledger_seeds length_jumps estimators weights handover bounds imperfections
 
 FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover fig12-bound fig13-deadlines
-TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates
+TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates table11-imperfections
 SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
 
 bag_files = $(foreach name,$(1),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)

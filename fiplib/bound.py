@@ -26,16 +26,19 @@ from scipy.signal import lfilter
 
 from fiplib.bags import BagError, Flight
 from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.likelihood import CALIBRATION, NUISANCES
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
-
-NUISANCES = ("inertia_factor", "rate_lag")
-"""What may be unknown beside the state and the length, as in ``likelihood``."""
 
 REBASE = 24
 """Frames between two changes of the basis: 0.1 s, in which the rod's fall grows by a factor of about 1.5."""
 
 FREE = 17
 """Degrees of freedom of the plant's 20 states: attitude and direction are unit vectors, direction rate lies across."""
+
+
+OFFSETS = 4
+"""Constants that a calibration leaves unknown: of the pendulum's centre of mass along x and y in m, and of the
+vehicle's attitude about its x and y in rad."""
 
 
 class Motion(NamedTuple):
@@ -92,7 +95,7 @@ def cramer_rao(
     Args:
         motion: the true trajectory.
         params: the true parameters, the length among them, and the noise of motion capture.
-        nuisances: names out of ``NUISANCES`` that are unknown too.
+        nuisances: names out of ``likelihood.NUISANCES`` that are unknown too.
         pendulum_height: whether the height of the pendulum's centre of mass is measured too.
 
     Returns:
@@ -106,21 +109,25 @@ def cramer_rao(
     simulation = params.simulation
     if min(simulation.position_noise, simulation.attitude_noise) <= 0:
         raise ValueError("the bound needs the noise of position and attitude to be positive")
-    names = (*nuisances, "length")
+    # unknowns: the first state, offsets of what is measured, what the plant depends on, the length last
+    offsets = OFFSETS if CALIBRATION in nuisances else 0
+    names = (*(name for name in nuisances if name != CALIBRATION), "length")
     transition, shift = _sensitivities(motion, params, names)
     seen = _measured(motion.states, params, pendulum_height)
-    sensitivity = np.hstack([_tangents(motion.states[0]), np.zeros((20, len(names)))])
-    triangle, bound = np.zeros((0, FREE + len(names))), np.full(len(motion.states), np.inf)
+    unknowns = FREE + offsets + len(names)
+    sensitivity = np.hstack([_tangents(motion.states[0]), np.zeros((20, offsets + len(names)))])
+    triangle, bound = np.zeros((0, unknowns)), np.full(len(motion.states), np.inf)
     for k, rows in enumerate(seen):
         frame = rows[:, :20] @ sensitivity
+        frame[:, FREE : FREE + offsets] += rows[:, 21 : 21 + offsets]
         frame[:, -1] += rows[:, 20]
         triangle = np.linalg.qr(np.vstack([triangle, frame]), mode="r")
         # what rounding leaves of zero counts as no information
-        if len(triangle) == FREE + len(names) and abs(triangle[-1, -1]) > 1e-9 * np.linalg.norm(triangle[:, -1]):
+        if len(triangle) == unknowns and abs(triangle[-1, -1]) > 1e-9 * np.linalg.norm(triangle[:, -1]):
             bound[k] = 1 / abs(triangle[-1, -1])
         if k < len(transition):
             sensitivity = transition[k] @ sensitivity
-            sensitivity[:, FREE:] += shift[k]
+            sensitivity[:, FREE + offsets :] += shift[k]
             if (k + 1) % REBASE == 0:
                 sensitivity, triangle = _rebased(sensitivity, triangle)
     return bound
@@ -191,10 +198,10 @@ def _changed(params: Params, name: str, change: float) -> Params:
 
 
 def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray:
-    """Whitened rows (n, m, 21) of what is measured in each frame: its sensitivity to the state and to the length."""
+    """Whitened rows (n, m, 25) of what is measured in each frame: its sensitivity to state, length and offsets."""
     position, attitude = params.simulation.position_noise, params.simulation.attitude_noise
     axes = 3 if pendulum_height else 2
-    rows = np.zeros((len(states), 6 + axes, 21))
+    rows = np.zeros((len(states), 6 + axes, 21 + OFFSETS))
     for axis in range(3):
         rows[:, axis, axis] = 1 / position
     for axis in range(axes):
@@ -205,4 +212,7 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     # rotation vector of q^-1 dq, twice its vector part
     turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
     rows[:, 3 + axes : 6 + axes, PLANT["attitude"]] = turn.transpose(2, 0, 1)
+    for axis in range(2):
+        rows[:, 3 + axis, 21 + axis] = 1 / position
+        rows[:, 3 + axes + axis, 23 + axis] = 1 / attitude
     return rows

@@ -12,8 +12,8 @@ What they do with the same window:
 - ``recursive_least_squares``, ``concurrent_learning`` regress d'' + g tilt = (1/l) 2 g d, with d'' from differences of
   d' over a step. Differencing throws most of the information away: what d' owes to noise is as large as what it owes to
   the length. The price of their simplicity.
-- ``maximum_likelihood`` is ours (``fiplib.likelihood``); ``maximum_likelihood_free`` is told neither the rod's inertia
-  nor the lag of the inner loop.
+- ``maximum_likelihood`` is ours (``fiplib.likelihood``); ``maximum_likelihood_calibrated`` takes the calibration of
+  motion capture for exact, ``maximum_likelihood_free`` is told neither the rod's inertia nor the lag of the inner loop.
 """
 
 import math
@@ -200,6 +200,7 @@ ESTIMATORS = {
     "concurrent_learning": Estimator(concurrent_learning, "states"),
     "moving_horizon": Estimator(moving_horizon, "states"),
     "maximum_likelihood": Estimator(maximum_likelihood, "raw"),
+    "maximum_likelihood_calibrated": Estimator(partial(maximum_likelihood, nuisances=()), "raw"),
     "maximum_likelihood_free": Estimator(partial(maximum_likelihood, nuisances=NUISANCES), "raw"),
 }
 """Every estimator by name, ``estimation.estimator`` chooses the one in flight."""

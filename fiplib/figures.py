@@ -195,6 +195,7 @@ FIGURES = {
     "table8-handover": Product(summaries.table8_handover, studies=("handover",)),
     "table9-landscapes": Product(summaries.table9_landscapes, studies=("landscapes",)),
     "table10-rates": Product(summaries.table10_rates, benchmarks=("sweep_rates",)),
+    "table11-imperfections": Product(summaries.table11_imperfections, studies=("imperfections",)),
 }
 """Every figure and table by name."""
 

@@ -146,7 +146,7 @@ def fig11_handover(rows: Rows) -> Figure:
 
 def fig12_bound(rows: Rows) -> Figure:
     """Fig. 12: the Cramer-Rao bound of the length over the window: by excitation, and by what is measured and known."""
-    figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
+    figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     cells = {tuple(row[key] for key in ("excitation", "rod", "noise", "knowledge")): row for row in rows}
     windows = [float(name.removeprefix("bound_")) for name in rows[0] if name.startswith("bound_")]
@@ -159,17 +159,18 @@ def fig12_bound(rows: Rows) -> Figure:
         (1, {}, "as on the left", BLUE, "-"),
         (1, {"noise": "positions x 5"}, r"positions $\times 5$", ORANGE, ":"),
         (1, {"noise": "attitude x 5"}, r"attitude $\times 5$", PURPLE, "-."),
-        (1, {"knowledge": "inertia and lag unknown"}, "inertia, lag\nunknown", GREEN, "--"),
+        (1, {"knowledge": "inertia and lag unknown"}, "inertia, lag unknown", GREEN, "--"),
+        (1, {"knowledge": "calibration unknown"}, "calibration unknown", "black", (0, (6, 1.5))),
     )
     for panel, changes, label, colour, dashes in curves:
         row = cells[tuple((usual | changes).values())]
         bounds = [1e3 * row[f"bound_{seconds:g}"] for seconds in windows]
-        panels[panel].loglog(windows, bounds, dashes, color=colour, label=label)
+        panels[panel].loglog(windows, bounds, ls=dashes, color=colour, label=label)
     for axes in panels:
         axes.axhline(10.0, color=GREY, lw=0.6)
         axes.set(xlabel="window (s)", xticks=(0.25, 1, 2.5, 10), xticklabels=("0.25", "1", "2.5", "10"))
         axes.minorticks_off()
-        axes.legend(loc="upper right", handlelength=1.8)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3), handlelength=2.4)
     panels[0].set(ylabel="bound on the length (mm)", ylim=(0.2, 3000))
     panels[0].set_title("excitation")
     panels[1].set_title("noise, knowledge")

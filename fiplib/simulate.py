@@ -254,13 +254,19 @@ class Outcome(NamedTuple):
     survived: bool
 
 
-def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None] | None = None) -> Outcome:
+def fly(
+    scenario: Scenario,
+    recorder: Recorder,
+    progress: Callable[[float], None] | None = None,
+    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
+) -> Outcome:
     """Fly a scenario in the simulator, through the pilot, into a recorder.
 
     Args:
         scenario: the flight.
         recorder: where it is written to.
         progress: called with the simulated seconds done, about once per simulated second.
+        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot is not told.
 
     Returns:
         How it ended; a fall ends the flight early and is recorded as an event.
@@ -271,7 +277,7 @@ def fly(scenario: Scenario, recorder: Recorder, progress: Callable[[float], None
     rng = np.random.default_rng(seed)
     start = scenario.reference.at(np.zeros(1))[0]
     lean = rng.normal(size=2) * params.simulation.initial_lean
-    plant = Plant(params, (start[0], start[2], scenario.reference.height), lean)
+    plant = vehicle(params, (start[0], start[2], scenario.reference.height), lean)
     mocap, pilot = Mocap(params, frames, rng), Pilot(params, scenario.reference)
     estimator = SimulatedEstimator(params, seed)
     latency = round(params.simulation.mocap_latency * NANO)

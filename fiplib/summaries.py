@@ -15,7 +15,8 @@ from fiplib.tables import Table
 
 LABELS = {
     "maximum_likelihood": "maximum likelihood, raw",
-    "maximum_likelihood_free": "the same, inertia and lag unknown",
+    "maximum_likelihood_free": "the same, inertia, lag unknown",
+    "maximum_likelihood_calibrated": "the same, calibration exact",
     "ga": "GA, printed settings",
     "ga_improved": "GA, more exploration",
     "grid": "exhaustive search",
@@ -63,8 +64,8 @@ def table4_estimators(rows: Rows) -> Table:
 
 
 class Pooled(NamedTuple):
-    """An estimator over many windows: how many were answered, mean and RMS error and RMS bound in m, and the share of
-    95 % intervals that cover the truth (nan where none is stated)."""
+    """An estimator over many windows: how many were answered, mean and RMS error and RMS bound in m (nan where none was
+    computed), and the share of 95 % intervals that cover the truth (nan where none is stated)."""
 
     windows: int
     bias: float
@@ -74,12 +75,14 @@ class Pooled(NamedTuple):
 
 
 def pooled(rows: Rows, name: str) -> Pooled:
-    """An estimator's rows of the study 'estimators', each weighted by its number of windows."""
+    """An estimator's rows of the study 'estimators' or 'imperfections', each weighted by its number of windows."""
     answered = [row for row in rows if row[f"n_{name}"] > 0]
     if not answered:
         return Pooled(0, math.nan, math.nan, math.nan, math.nan)
     columns = ("n", "bias", "rms", "bound", "covered")
-    n, bias, rms, bound, covered = np.array([[row[f"{column}_{name}"] for column in columns] for row in answered]).T
+    n, bias, rms, bound, covered = np.array(
+        [[row.get(f"{column}_{name}", math.nan) for column in columns] for row in answered]
+    ).T
     total = n.sum()
     squares = (float(np.sqrt(n @ values**2 / total)) for values in (rms, bound))
     return Pooled(int(total), float(n @ bias / total), *squares, float(covered.sum() / total))
@@ -212,7 +215,31 @@ def table10_rates(rates: dict[str, float]) -> Table:
     return Table(("Workers", "Flights / s", "Simulated s / s", "Speed-up", "Origin"), lines, "rrrrl")
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "bounds")
+def table11_imperfections(rows: Rows) -> Table:
+    """Table 11: what becomes of three estimators when vehicle and laboratory are not quite as they are told."""
+    from fiplib.studies.imperfections import IMPERFECTIONS  # here: the other tables need not wait for CasADi
+
+    lines = []
+    for name in IMPERFECTIONS:
+        chosen = [row for row in rows if row["imperfection"] == name]
+        cells = [_number(1e3 * pooled(chosen, "ga").rms, 0)]
+        for estimator in ("maximum_likelihood_calibrated", "maximum_likelihood"):
+            found = pooled(chosen, estimator)
+            cells.append(f"{100 * found.windows / _given(chosen, estimator):.0f}")
+            cells += [_number(1e3 * found.rms, 1), f"{100 * found.covered:.0f}"] if found.windows else [NONE, NONE]
+        lines.append((name.replace("%", r"\%"), *cells))
+    header = ("Imperfection", "GA: RMSE (mm)")
+    for who in ("Exact", "Ours"):
+        header += (rf"{who}: answered (\%)", "RMSE (mm)", r"In 95\,\% interval (\%)")
+    return Table(header, lines, "lrrrrrrr")
+
+
+def _given(rows: Rows, name: str) -> float:
+    """How many windows an estimator was given."""
+    return sum(row[f"n_{name}"] + row[f"refused_{name}"] for row in rows)
+
+
+FACTS = ("estimators", "weights", "handover", "length_jumps", "bounds", "imperfections")
 """The studies of which the report states numbers outside its tables."""
 
 
@@ -221,13 +248,14 @@ def facts(studies: Mapping[str, Rows]) -> dict[tuple[str, ...], str]:
     found: dict[tuple[str, ...], str] = {}
     if rows := studies["estimators"]:
         chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
-        for name in ("maximum_likelihood", "maximum_likelihood_free", "ga", "grid"):
+        for name in ("maximum_likelihood", "maximum_likelihood_calibrated", "maximum_likelihood_free", "ga", "grid"):
             one = pooled(chosen, name)
             found |= {
                 ("estimators", name, "windows"): f"{one.windows}",
                 ("estimators", name, "bias"): f"{1e3 * one.bias:.2f}",
                 ("estimators", name, "rms"): f"{1e3 * one.rms:.2f}",
                 ("estimators", name, "ratio"): f"{one.rms / one.bound:.2f}",
+                ("estimators", name, "bound"): f"{1e3 * one.bound:.1f}",
             }
             if not math.isnan(one.covered):
                 found["estimators", name, "covered"] = f"{100 * one.covered:.1f}"
@@ -268,6 +296,19 @@ def facts(studies: Mapping[str, Rows]) -> dict[tuple[str, ...], str]:
                     }
                     name = ("length_jumps", rod, change, "outlier" if lasting == "2 s" else "lasting")
                     found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    if rows := studies["imperfections"]:
+        for key, kind in {
+            "marker": "marker 0.1 mm off",
+            "turned": "frame turned by 0.5 deg",
+            "all": "all of them",
+        }.items():
+            chosen = [row for row in rows if row["imperfection"] == kind]
+            for name in ("ga", "maximum_likelihood_calibrated", "maximum_likelihood"):
+                one = pooled(chosen, name)
+                found["imperfections", key, name, "answered"] = f"{100 * one.windows / _given(chosen, name):.0f}"
+                if one.windows:
+                    found["imperfections", key, name, "rms"] = f"{1e3 * one.rms:.1f}"
+                    found["imperfections", key, name, "covered"] = f"{100 * one.covered:.0f}"
     if rows := studies["bounds"]:
         usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
         for name, changes in {
@@ -276,6 +317,7 @@ def facts(studies: Mapping[str, Rows]) -> dict[tuple[str, ...], str]:
             "fast": {"excitation": "circle 0.4 m / 5 s"},
             "positions": {"noise": "positions x 5"},
             "attitude": {"noise": "attitude x 5"},
+            "calibration": {"knowledge": "calibration unknown"},
             "unknown": {"knowledge": "inertia and lag unknown"},
             "height": {"knowledge": "height measured"},
         }.items():

@@ -12,6 +12,8 @@ needs gcc, make and the package index. The firmware is under the GNU GPL, stays 
 Simulated, every flight: a vehicle with motors as fiplib/firmware.py models it. Nothing here has flown on hardware.
 """
 
+import fiplib  # isort: skip # noqa: F401 - first: it says how many threads NumPy may have
+
 import argparse
 import contextlib
 import dataclasses
@@ -36,14 +38,16 @@ from fly import assignment
 from links.sim import GROUND, SimulatedVehicle, VirtualLink
 from numpy.typing import NDArray
 
-from fiplib import bags, firmware, simulate
+from fiplib import bags, firmware, replay, simulate
 from fiplib.crsf import Encoder
 from fiplib.dynamics import PLANT
 from fiplib.failsafe import Guard, Mode, Setpoint, disarmed, weight
 from fiplib.firmware import Airframe, MotorPlant
+from fiplib.likelihood import maximum_likelihood
 from fiplib.params import NANO, Params
 from fiplib.pilot import Hover
 from fiplib.simulate import Outcome, Scenario
+from fiplib.studies.estimators import summarise
 from fiplib.windows import Measurement
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -59,6 +63,8 @@ BOOT = 1.0
 """Of the firmware's own time until it waits for the simulation, s."""
 WARM_UP = 6.5
 """At rest before anything is asked of it, s: it calibrates its gyroscope, and does not arm within 5 s of its start."""
+REFITS = 0.5
+"""A window each so many s is refitted."""
 PATIENCE = 60.0
 """An answer that takes longer never comes, s. Nothing measured depends on it."""
 
@@ -528,18 +534,37 @@ def fly(options: argparse.Namespace) -> int:
     duration = options.duration or (20.0 if options.scenario is None else scenario.duration)
     scenario = dataclasses.replace(scenario, duration=duration)
     airframe = airframe_of(options)
-    with betaflight(options, scenario.params, airframe) as inner:
-        link = FirmwareLink(scenario, inner, airframe)
-        flight = record(scenario, link, options.output, "Betaflight 4.6.0 SITL")
-        stopped = link.vehicle.stopped()
+    with tempfile.TemporaryDirectory() as folder:
+        bag = options.output or Path(folder) / scenario.name
+        with betaflight(options, scenario.params, airframe) as inner:
+            link = FirmwareLink(scenario, inner, airframe)
+            flight = record(scenario, link, bag, "Betaflight 4.6.0 SITL")
+            stopped = link.vehicle.stopped()
+        length = refitted(bag, scenario.duration) if len(flight.time) else ""
     end = "rod still up" if flight.outcome.survived else "NOT UP TO THE END"
     print(f"simulated, Betaflight 4.6.0 as inner loop: {flight.outcome.duration:.2f} s, {end} ({flight.ended})")
     if not len(flight.time):
         print("it was never let go: the motors did not carry the vehicle")
     else:
         print(f"rms lean {1e3 * rms(lean(flight, scenario)):.1f} mm, rms error of height {height(flight, scenario)} mm")
+        print(length)
     print(f"motors after the disarm frame: {'stopped' if stopped else 'STILL TURNING'}; {inner.exchanges} exchanges")
     return 0 if flight.outcome.survived and stopped else 1
+
+
+def refitted(bag: Path, duration: float) -> str:
+    """What the recommended estimator makes of a flight, in a sentence: it is told the model's delay and lag."""
+    flight = bags.read(bag)
+    seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(duration * NANO)
+    if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):
+        return f"too short to estimate the length: it takes {seconds:g} s"
+    answers = [maximum_likelihood(window, flight.params) for window in windows]
+    found = summarise(answers, flight.params.pendulum.length)
+    return (
+        f"length by maximum likelihood: {found['n']} of {len(answers)} windows of {seconds:g} s answered, "
+        f"bias {1e3 * found['bias']:.1f} mm, RMS error {1e3 * found['rms']:.1f} mm, "
+        f"{found['covered']} of their 95 % intervals cover the rod"
+    )
 
 
 def within(flight: Flown, scenario: Scenario) -> NDArray:

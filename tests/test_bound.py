@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fiplib import replay
+from fiplib import bound, replay
 from fiplib.bags import BagError, Flight
-from fiplib.bound import NUISANCES, Motion, cramer_rao, motion
+from fiplib.bound import Motion, cramer_rao, motion
 from fiplib.dynamics import coupled_plant, rk4
-from fiplib.likelihood import maximum_likelihood
+from fiplib.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import Scenario, Tape, fly
@@ -60,10 +60,29 @@ def test_longer_windows_less_noise_and_more_excitation_lower_the_bound() -> None
 
 
 def test_what_is_unknown_too_can_only_raise_the_bound() -> None:
-    known, rod, both = (cramer_rao(stretch(), PARAMS, names)[-1] for names in ((), NUISANCES[:1], NUISANCES))
+    rod, plant = ("inertia_factor",), ("inertia_factor", "rate_lag")
+    unknown = ((), rod, plant, (CALIBRATION,), NUISANCES)
+    known, inertia, both, calibration, everything = (cramer_rao(stretch(), PARAMS, names)[-1] for names in unknown)
     # 1e-9: rounding, where a nuisance costs nothing
-    assert known <= rod * (1 + 1e-9) and rod <= both * (1 + 1e-9)
+    assert known <= inertia * (1 + 1e-9) and inertia <= both * (1 + 1e-9) and calibration <= everything * (1 + 1e-9)
     assert both < 2 * known, "on the circle, inertia and lag can be told apart from the length"
+    assert 2 * known < calibration < everything < 10 * known, "where the markers sit is worth most of what one knows"
+
+
+def test_offsets_that_are_known_to_be_small_are_as_good_as_known() -> None:
+    """The unknown offsets of the calibration, seen once more to 1 nm and 1 nrad, raise the bound no longer."""
+    true = stretch()
+    rows = bound._measured(true.states, PARAMS, False)
+
+    def seen(*arguments: object) -> np.ndarray:
+        known = np.zeros((len(rows), bound.OFFSETS, rows.shape[2]))
+        known[0, range(bound.OFFSETS), range(21, 25)] = 1e9
+        return np.concatenate([rows, known], axis=1)
+
+    known = cramer_rao(true, PARAMS)[-1]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bound, "_measured", seen)
+        assert cramer_rao(true, PARAMS, (CALIBRATION,))[-1] == pytest.approx(known, rel=1e-4)  # (1 nm / 15 um)^2
 
 
 def test_the_height_of_the_pendulum_gives_its_length_away() -> None:
@@ -83,7 +102,8 @@ def test_the_bound_does_not_depend_on_how_its_unknowns_are_exchanged(monkeypatch
         assert cramer_rao(stretch(), PARAMS)[-1] == pytest.approx(reference, rel=1e-6)
 
 
-def test_maximum_likelihood_scatters_like_the_bound_says() -> None:
+@pytest.mark.parametrize("nuisances", [(), (CALIBRATION,)])
+def test_maximum_likelihood_scatters_like_the_bound_says(nuisances: tuple[str, ...]) -> None:
     """Monte Carlo: the noise drawn anew on one and the same motion, with the commands that flew it."""
     flight, rng = flown(), np.random.default_rng(5)
     end, window = replay.raw_windows(flight, 2.5, 4.0)[-1]
@@ -102,9 +122,9 @@ def test_maximum_likelihood_scatters_like_the_bound_says() -> None:
             for value, sigma in zip((positions, centre, angles), scale, strict=True)
         )
         drawn = RawWindow(window.time, *poses, window.command_time, window.command)
-        answers.append(maximum_likelihood(drawn, PARAMS))
+        answers.append(maximum_likelihood(drawn, PARAMS, nuisances=nuisances))
     errors = np.array([answer.length for answer in answers]) - PARAMS.pendulum.length
-    bound = cramer_rao(true, PARAMS)[-1]
+    bound = cramer_rao(true, PARAMS, nuisances)[-1]
     # the standard deviation of 80 draws is itself uncertain by 1/sqrt(160) = 8 %: three of those
     assert errors.std() == pytest.approx(bound, rel=0.24)
     # the mean by bound/sqrt(80): four of those, and 0.2 mm for what the model leaves out (the true yaw)
@@ -114,7 +134,7 @@ def test_maximum_likelihood_scatters_like_the_bound_says() -> None:
 
 
 def test_what_the_bound_cannot_be_computed_for_is_refused_clearly() -> None:
-    with pytest.raises(ValueError, match="unknown nuisance wind; there are inertia_factor, rate_lag"):
+    with pytest.raises(ValueError, match="unknown nuisance wind; there are calibration, inertia_factor, rate_lag"):
         cramer_rao(stretch(), PARAMS, ("wind",))
     with pytest.raises(ValueError, match="noise of position and attitude to be positive"):
         cramer_rao(stretch(), PARAMS.replace(simulation__position_noise=0.0))

@@ -427,9 +427,9 @@ def test_the_step_response_of_the_rate_loop_lies_beside_the_delay_and_lag_model(
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="docs/firmware.md was written with the arithmetic of x86-64")
 def test_the_documentation_holds_what_the_commands_print(pushed):
     text = (ROOT / "docs" / "firmware.md").read_text()
-    stepped = run("step")
-    assert stepped.returncode == 0, stepped.stderr
-    assert stepped.stdout in text and "\n".join(settings(PARAMS)) in text
+    stepped, hovered = run("step"), run("fly")
+    assert stepped.returncode == hovered.returncode == 0, stepped.stderr + hovered.stderr
+    assert hovered.stdout in text and stepped.stdout in text and "\n".join(settings(PARAMS)) in text
     assert pushed[0][: pushed[0].index("wrote")] in text
 
 
@@ -450,6 +450,17 @@ def test_the_push_flight_survives_on_both_inner_loops_and_alike(pushed):
     # 58 mm and 52 mm as measured: the first push falls into different tremors of the two hovers
     assert leans[0] == pytest.approx(leans[1], rel=0.25)
     assert text.count("yes") == 2
+
+
+@betaflight
+def test_the_length_of_the_rod_is_found_on_betaflight(tmp_path):
+    flown = run("fly", "--scenario", "circle-0.8", "--output", tmp_path / "bag")
+    assert flown.returncode == 0, flown.stderr
+    found = re.search(r"(\d+) of (\d+) windows .* bias (\S+) mm, RMS error (\S+) mm, (\d+) of", flown.stdout)
+    answered, given, bias, error, covered = map(float, found.groups())
+    assert answered == given > 40
+    # stated deviations are about 3 mm; with 95 % of 47 windows that overlap by four fifths, 40 is rarely missed
+    assert abs(bias) < 3 and error < 6 and covered >= 40
 
 
 @betaflight

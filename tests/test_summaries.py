@@ -6,6 +6,7 @@ import pytest
 
 from fiplib import summaries
 from fiplib.studies import ledger_seeds
+from fiplib.studies.imperfections import IMPERFECTIONS
 
 
 def handover_rows() -> list[dict]:
@@ -88,6 +89,27 @@ def test_the_rates_table_says_what_is_measured_and_what_extrapolated():
     lines = summaries.table10_rates(rates).rows
     assert lines[1] == ("2", "3.60", "36", "1.80", "measured")
     assert lines[2] == ("100", "200", "2000", "100.00", "extrapolated: 1.4 h for a million")
+
+
+def imperfect_row(name: str, **values: float) -> dict:
+    columns = {"n": 6, "refused": 0, "bias": 0.0, "rms": 0.004, "covered": 6}
+    estimators = ("ga", "maximum_likelihood_calibrated", "maximum_likelihood")
+    made = {f"{column}_{one}": value for one in estimators for column, value in columns.items()}
+    return {"imperfection": name, **made, **values}
+
+
+def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_well():
+    refused = {f"{column}_maximum_likelihood_calibrated": math.nan for column in ("bias", "rms", "covered")}
+    refused |= {"n_maximum_likelihood_calibrated": 0, "refused_maximum_likelihood_calibrated": 6}
+    half = {"n_maximum_likelihood": 3, "refused_maximum_likelihood": 3, "covered_maximum_likelihood": 2}
+    rows = [imperfect_row(name, **(refused if name == "all of them" else half)) for name in IMPERFECTIONS]
+    lines = {row[0]: row[1:] for row in summaries.table11_imperfections(rows).rows}
+    assert next(iter(lines)) == "none" and len(lines) == len(IMPERFECTIONS)
+    assert lines["none"] == ("4", "100", "4.0", "100", "50", "4.0", "67")
+    assert lines["all of them"] == ("4", "0", "--", "--", "100", "4.0", "100")
+    found = summaries.facts({study: rows if study == "imperfections" else [] for study in summaries.FACTS})
+    assert found["imperfections", "all", "maximum_likelihood_calibrated", "answered"] == "0"
+    assert ("imperfections", "all", "maximum_likelihood_calibrated", "rms") not in found
 
 
 def test_without_rows_there_are_no_facts():

@@ -25,6 +25,7 @@ STUDIES = {
         "landscape_curves",
         "bounds",
         "estimators",
+        "imperfections",
         "handover",
     )
 }

@@ -1,0 +1,151 @@
+"""What becomes of an estimate when the vehicle and its laboratory are not quite what the estimator is told.
+
+The bound, and with it every comparison of the study ``estimators``, presumes that all but the state and the length
+is known exactly. Here one thing at a time is not, by as much as one meets in a laboratory, and then all of them
+together: commands come late and unevenly, the inner loop has more lag or a gain of its own, air pushes, the battery
+sags, a marker sits beside where it is said to sit. One case is one flight of the 0.4 m circle with a uniform rod; its
+columns are those of the study ``estimators``, without the bounds, for each estimator in ``NAMES``.
+
+What was seen (table 11): calibration must be known far better than laboratories know it before it may be taken for
+exact. Then the error is 1.3 mm; with a marker a tenth of a millimetre beside its place it is 9 mm, six deviations of
+those stated, with one a millimetre beside it 90 mm, and a body frame turned by half a degree is refused outright. The
+paper's estimator takes it for exact too: that half degree costs it 0.16 m. The recommended one, to which these are
+unknowns, has 4 mm (6 mm with a wrong gain), answers every window, and its intervals hold in every row.
+
+220 rows, about 12 minutes of two cores.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiplib import replay
+from fiplib.bags import Flight
+from fiplib.estimators import ESTIMATORS
+from fiplib.params import NANO, Params
+from fiplib.pilot import Circle
+from fiplib.simulate import Plant, Scenario, Tape, fly
+from fiplib.studies.estimators import DURATION, SETTLED, summarise
+
+KEYS = ("imperfection", "seed")
+
+NAMES = ("ga", "maximum_likelihood_calibrated", "maximum_likelihood")
+
+SEEDS = range(20)
+
+CIRCLE = Circle(0.4, 8.0)
+
+
+@dataclass(frozen=True)
+class Imperfection:
+    """What is otherwise than the estimator is told.
+
+    ``late`` and ``jitter`` are mean and standard deviation in s of how much later a command acts; ``lag`` in s is added
+    to the inner loop's; ``gain`` multiplies body rates, ``thrust`` the thrust; ``gust`` is the standard deviation in
+    rad/s of a body rate that nobody commanded, white from command to command. ``marker`` in m and ``mount`` in rad are
+    added to the pendulum's position along x and y, and to roll and pitch, as they are read by the estimators.
+    """
+
+    late: float = 0.0
+    jitter: float = 0.0
+    lag: float = 0.0
+    gain: float = 1.0
+    thrust: float = 1.0
+    gust: float = 0.0
+    marker: float = 0.0
+    mount: float = 0.0
+
+
+IMPERFECTIONS = {
+    "none": Imperfection(),
+    "commands 1 ms late, jitter 0.3 ms": Imperfection(late=1e-3, jitter=0.3e-3),
+    "commands 3 ms late, jitter 1 ms": Imperfection(late=3e-3, jitter=1e-3),
+    "lag 5 ms longer": Imperfection(lag=5e-3),
+    "rates 3 % larger": Imperfection(gain=1.03),
+    "gusts of 5 deg/s": Imperfection(gust=np.radians(5.0)),
+    "thrust 5 % less": Imperfection(thrust=0.95),
+    "marker 0.1 mm off": Imperfection(marker=1e-4),
+    "marker 1 mm off": Imperfection(marker=1e-3),
+    "frame turned by 0.5 deg": Imperfection(mount=np.radians(0.5)),
+    "all of them": Imperfection(3e-3, 1e-3, 5e-3, 1.03, 0.95, np.radians(5.0), 1e-3, np.radians(0.5)),
+}
+
+
+class ImperfectPlant(Plant):
+    """The plant with an imperfection between the commands and what acts."""
+
+    def __init__(
+        self, params: Params, position: ArrayLike, lean: ArrayLike, *, imperfection: Imperfection, seed: int
+    ) -> None:
+        lag = params.simulation.rate_lag + imperfection.lag
+        super().__init__(params.replace(simulation__rate_lag=lag), position, lean)
+        self._imperfection, self._rng, self._last = imperfection, np.random.default_rng([seed, 1]), 0
+        self._rate = params.simulation.plant_rate
+
+    def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
+        one = self._imperfection
+        late, *gust = self._rng.normal(size=3)
+        at = self._substep + self._delay + round(max(0.0, one.late + one.jitter * late) * self._rate)
+        self._last = max(self._last, at)  # none overtakes another
+        rates = one.gain * np.asarray(body_rate) + one.gust * np.array([*gust, 0.0])
+        super().command(rates, one.thrust * thrust, self._last)
+
+
+def cases() -> list[dict]:
+    """Every imperfection, over ``SEEDS``."""
+    return [{"imperfection": name, "seed": seed} for name in IMPERFECTIONS for seed in SEEDS]
+
+
+def run(case: dict) -> dict[str, float | int]:
+    """Fly the case and ask the estimators."""
+    flight, survived = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
+    params, row = flight.params, {"survived": int(survived)}
+    spans = {
+        "states": (params.estimation.window - 1) * params.estimation.sample_period,
+        "raw": params.estimation.raw_window,
+    }
+    sampled = params.replace(estimation__run_period=params.estimation.window * params.estimation.sample_period)
+    windows = {"states": replay.windows(flight, sampled), "raw": replay.raw_windows(flight, *2 * (spans["raw"],))}
+    for name in NAMES:
+        kind = ESTIMATORS[name].kind
+        begin = flight.start_ns + round((SETTLED + spans[kind]) * NANO)
+        rng = np.random.default_rng([int(case["seed"]), NAMES.index(name)])
+        answers = [ESTIMATORS[name].function(window, params, rng) for stamp, window in windows[kind] if stamp >= begin]
+        row |= {f"{column}_{name}": value for column, value in summarise(answers, params.pendulum.length).items()}
+    return row
+
+
+def flown(imperfection: Imperfection, seed: int) -> tuple[Flight, bool]:
+    """A flight of 1 m of uniform rod, the true length in use, as the estimators read it; whether it stayed up."""
+    scenario = Scenario("circle", "", DURATION, CIRCLE, params=Params(), seed=40_000 + seed)
+
+    def vehicle(params: Params, position: ArrayLike, lean: ArrayLike) -> Plant:
+        return ImperfectPlant(params, position, lean, imperfection=imperfection, seed=scenario.seed)
+
+    tape = Tape()
+    outcome = fly(scenario, tape, vehicle=vehicle)
+    flight = replay.flight_of(tape, scenario)
+    if imperfection.marker or imperfection.mount:
+        flight = misread(flight, imperfection)
+    return flight, outcome.survived
+
+
+def misread(flight: Flight, imperfection: Imperfection) -> Flight:
+    """A flight whose markers sit a little beside where they are said to sit; its states are derived from them anew."""
+    half = imperfection.mount / 2
+    turn = np.array((half, half, 0.0, 1.0))
+    vehicle, pendulum = flight.vehicle, flight.pendulum
+    offset = np.array((imperfection.marker, imperfection.marker, 0.0))
+    return replace(
+        flight,
+        vehicle=replace(vehicle, orientation=_times(vehicle.orientation, turn / np.linalg.norm(turn))),
+        pendulum=replace(pendulum, position=pendulum.position + offset),
+        state=None,
+    )
+
+
+def _times(p: NDArray, q: NDArray) -> NDArray:
+    """Products of quaternions p (n, 4) with one q (4,), all (x, y, z, w)."""
+    vector = p[:, 3:] * q[:3] + q[3] * p[:, :3] + np.cross(p[:, :3], q[:3])
+    return np.column_stack([vector, p[:, 3] * q[3] - p[:, :3] @ q[:3]])
