@@ -147,7 +147,8 @@ def fig11_handover(rows: Rows) -> Figure:
 def fig12_bound(rows: Rows) -> Figure:
     """Fig. 12: the Cramer-Rao bound of the length over the window: by excitation, and by what is measured and known."""
     figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    # curves fill the panels: their names have a row of their own
+    panels, names = figure.subplots(2, 2, sharex="row", sharey="row", height_ratios=(2.6, 1.0))
     cells = {tuple(row[key] for key in ("excitation", "rod", "noise", "knowledge")): row for row in rows}
     windows = [float(name.removeprefix("bound_")) for name in rows[0] if name.startswith("bound_")]
     usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
@@ -166,11 +167,12 @@ def fig12_bound(rows: Rows) -> Figure:
         row = cells[tuple((usual | changes).values())]
         bounds = [1e3 * row[f"bound_{seconds:g}"] for seconds in windows]
         panels[panel].loglog(windows, bounds, ls=dashes, color=colour, label=label)
-    for axes in panels:
+    for axes, below in zip(panels, names, strict=True):
         axes.axhline(10.0, color=GREY, lw=0.6)
         axes.set(xlabel="window (s)", xticks=(0.25, 1, 2.5, 10), xticklabels=("0.25", "1", "2.5", "10"))
         axes.minorticks_off()
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3), handlelength=2.4)
+        below.axis("off")
+        below.legend(*axes.get_legend_handles_labels(), loc="upper center", handlelength=2.4, borderaxespad=0.0)
     panels[0].set(ylabel="bound on the length (mm)", ylim=(0.2, 3000))
     panels[0].set_title("excitation")
     panels[1].set_title("noise, knowledge")
