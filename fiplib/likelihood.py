@@ -76,7 +76,7 @@ KNOT = 0.1
 """Steps of the tilt's wandering, s: faster than the rod falls, slower than the attitude is noisy."""
 
 LARGEST_WANDER = 0.1
-"""Of the steps, rad: twenty times what a real inner loop's errors come to in ``KNOT``."""
+"""Of the steps, rad: 6 deg in each ``KNOT``, far beyond what an inner loop errs by."""
 
 
 @dataclass(frozen=True)

@@ -255,7 +255,6 @@ def facts(studies: Mapping[str, Rows]) -> dict[tuple[str, ...], str]:
                 ("estimators", name, "bias"): f"{1e3 * one.bias:.2f}",
                 ("estimators", name, "rms"): f"{1e3 * one.rms:.2f}",
                 ("estimators", name, "ratio"): f"{one.rms / one.bound:.2f}",
-                ("estimators", name, "bound"): f"{1e3 * one.bound:.1f}",
             }
             if not math.isnan(one.covered):
                 found["estimators", name, "covered"] = f"{100 * one.covered:.1f}"

@@ -172,7 +172,7 @@ def test_numpy_knows_every_kernel_that_is_switched_off():
 
 @pytest.mark.parametrize("program", ["fly", "firmware", "faults", None])
 def test_numpy_has_one_thread_without_make_too(program):
-    """Beside busy cores, threads that wait for each other make a small QR decomposition 150 times slower."""
+    """Beside busy cores, threads that wait for each other make a small QR decomposition many times slower."""
     start = f"import sys; sys.path.insert(0, 'scripts'); import {program}" if program else "import fiplib.likelihood"
     tasks = "import os; print(len(os.listdir('/proc/self/task')) if os.path.isdir('/proc/self/task') else 1)"
     work = "import numpy as np; np.linalg.qr(np.ones((2000, 40)))"

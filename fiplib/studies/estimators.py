@@ -14,6 +14,7 @@ derived states, or 2.5 s of raw motion capture. Per estimator ``NAME`` the row h
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -58,18 +59,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     flight, survived = _flown(case)
     row: dict[str, float | int | str] = {"survived": int(survived)}
     params = flight.params
-    settled = flight.start_ns + round(SETTLED * NANO)
-    span = (params.estimation.window - 1) * params.estimation.sample_period
-    sampled = params.replace(estimation__run_period=params.estimation.window * params.estimation.sample_period)
-    latency = round(params.simulation.mocap_latency * NANO)
-    windows = {
-        "states": (span, replay.windows(flight, sampled)),
-        "raw": (params.estimation.raw_window, replay.raw_windows(flight, *2 * (params.estimation.raw_window,))),
-    }
-    for kind, (seconds, found) in windows.items():
-        kept = [
-            (stamp - latency, window) for stamp, window in found if stamp - latency - round(seconds * NANO) >= settled
-        ]
+    for kind, (seconds, kept) in windows_of(flight).items():
         bounds: dict[tuple[str, ...], float] = {}
         for name, estimator in ESTIMATORS.items():
             if estimator.kind != kind:
@@ -82,6 +72,29 @@ def run(case: dict) -> dict[str, float | int | str]:
             summary = summarise(answers, params.pendulum.length) | {"bound": bounds[unknown]}
             row |= {f"{column}_{name}": value for column, value in summary.items()}
     return row
+
+
+def windows_of(flight: Flight) -> dict[str, tuple[float, list[tuple[int, Any]]]]:
+    """By kind of estimator: the span of its windows in s, and those that begin after ``SETTLED`` and do not overlap.
+
+    Each window comes with the time in ns at which its last frame was exposed.
+    """
+    params = flight.params
+    settled = flight.start_ns + round(SETTLED * NANO)
+    span = (params.estimation.window - 1) * params.estimation.sample_period
+    sampled = params.replace(estimation__run_period=params.estimation.window * params.estimation.sample_period)
+    latency = round(params.simulation.mocap_latency * NANO)
+    found = {
+        "states": (span, replay.windows(flight, sampled)),
+        "raw": (params.estimation.raw_window, replay.raw_windows(flight, *2 * (params.estimation.raw_window,))),
+    }
+    return {
+        kind: (
+            seconds,
+            [(stamp - latency, one) for stamp, one in some if stamp - latency - round(seconds * NANO) >= settled],
+        )
+        for kind, (seconds, some) in found.items()
+    }
 
 
 def summarise(answers: list[Estimate], truth: float) -> dict[str, float | int]:

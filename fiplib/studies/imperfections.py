@@ -18,15 +18,16 @@ unknowns, has 4 mm (6 mm with a wrong gain), answers every window, and its inter
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from fiplib import replay
 from fiplib.bags import Flight
 from fiplib.estimators import ESTIMATORS
-from fiplib.params import NANO, Params
+from fiplib.params import Params
 from fiplib.pilot import Circle
 from fiplib.simulate import Plant, Scenario, Tape, fly
-from fiplib.studies.estimators import DURATION, SETTLED, summarise
+from fiplib.studies.estimators import DURATION, summarise, windows_of
 
 KEYS = ("imperfection", "seed")
 
@@ -101,17 +102,11 @@ def run(case: dict) -> dict[str, float | int]:
     """Fly the case and ask the estimators."""
     flight, survived = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
     params, row = flight.params, {"survived": int(survived)}
-    spans = {
-        "states": (params.estimation.window - 1) * params.estimation.sample_period,
-        "raw": params.estimation.raw_window,
-    }
-    sampled = params.replace(estimation__run_period=params.estimation.window * params.estimation.sample_period)
-    windows = {"states": replay.windows(flight, sampled), "raw": replay.raw_windows(flight, *2 * (spans["raw"],))}
+    windows = windows_of(flight)
     for name in NAMES:
-        kind = ESTIMATORS[name].kind
-        begin = flight.start_ns + round((SETTLED + spans[kind]) * NANO)
+        _, given = windows[ESTIMATORS[name].kind]
         rng = np.random.default_rng([int(case["seed"]), NAMES.index(name)])
-        answers = [ESTIMATORS[name].function(window, params, rng) for stamp, window in windows[kind] if stamp >= begin]
+        answers = [ESTIMATORS[name].function(window, params, rng) for _, window in given]
         row |= {f"{column}_{name}": value for column, value in summarise(answers, params.pendulum.length).items()}
     return row
 
@@ -133,19 +128,12 @@ def flown(imperfection: Imperfection, seed: int) -> tuple[Flight, bool]:
 
 def misread(flight: Flight, imperfection: Imperfection) -> Flight:
     """A flight whose markers sit a little beside where they are said to sit; its states are derived from them anew."""
-    half = imperfection.mount / 2
-    turn = np.array((half, half, 0.0, 1.0))
+    turn = Rotation.from_rotvec((imperfection.mount, imperfection.mount, 0.0))
     vehicle, pendulum = flight.vehicle, flight.pendulum
     offset = np.array((imperfection.marker, imperfection.marker, 0.0))
     return replace(
         flight,
-        vehicle=replace(vehicle, orientation=_times(vehicle.orientation, turn / np.linalg.norm(turn))),
+        vehicle=replace(vehicle, orientation=(Rotation.from_quat(vehicle.orientation) * turn).as_quat()),
         pendulum=replace(pendulum, position=pendulum.position + offset),
         state=None,
     )
-
-
-def _times(p: NDArray, q: NDArray) -> NDArray:
-    """Products of quaternions p (n, 4) with one q (4,), all (x, y, z, w)."""
-    vector = p[:, 3:] * q[:3] + q[3] * p[:, :3] + np.cross(p[:, :3], q[:3])
-    return np.column_stack([vector, p[:, 3] * q[3] - p[:, :3] @ q[:3]])
