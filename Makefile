@@ -10,7 +10,7 @@ export OPENBLAS_CORETYPE := Haswell
 export OPENBLAS_NUM_THREADS := 1
 export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
 
-# The bags that each figure and table reads; the same list as `python -m fiplib.figures --list` (a test compares them).
+# The bags that each figure and table reads; the same list as `python -m fiplib.reproduction.figures --list` (a test compares them).
 reads_fig1-flight := circle-0.8
 reads_fig2-vehicle :=
 reads_fig3-pushes := push-hover
@@ -63,7 +63,7 @@ CLAIMS := figures/claims.csv figures/claims.txt paper/generated/numbers.tex pape
 FLIGHTS := $(SCENARIOS:%=fly-%)
 
 # Whatever is computed is computed anew when the code or the pinned packages change.
-CODE := $(wildcard fiplib/*.py) requirements.lock
+CODE := $(shell find fiplib -name "*.py") requirements.lock
 
 # What `make sweep` runs, and how: make sweep STUDIES='survival --limit 10'. One worker process per core; with
 # DASK_SCHEDULER_ADDRESS=tcp://host:8786 in the environment, or on make's command line, the workers of that scheduler.
@@ -102,7 +102,7 @@ bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone:
 	cd data && $(SHA256) $(foreach name,$(sort $(SCENARIOS)),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
 
 sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
-	$(PY) -m fiplib.sweep $(STUDIES)
+	$(PY) -m fiplib.studies.sweep $(STUDIES)
 
 bench: .venv/installed ## time the controller, the estimator and a sweep
 	@set -e; for script in benchmarks/*.py; do echo "$$script"; $(PY) "$$script"; done
@@ -145,15 +145,15 @@ clean: ## remove what was made; data/ and .venv stay
 # them all; the stem of the claims' rule has no meaning. Its place above the tables' rule matters to make 3.81.
 figures/clai%s.csv figures/clai%s.txt paper/generated/nu%bers.tex paper/generated/clai%s-table.tex: $(CODE) | .venv/installed
 	@mkdir -p figures paper/generated
-	$(PY) -m fiplib.ledger
+	$(PY) -m fiplib.reproduction.ledger
 
 figures/fig%.pdf figures/fig%.png: $(CODE) | .venv/installed
 	@mkdir -p figures
-	$(PY) -m fiplib.figures fig$*
+	$(PY) -m fiplib.reproduction.figures fig$*
 
 figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
 	@mkdir -p figures
-	$(PY) -m fiplib.figures table$*
+	$(PY) -m fiplib.reproduction.figures table$*
 
 figures/table10-rates.csv figures/table10-rates.tex: benchmarks/sweep_rates.csv
 figures/fig13-deadlines.pdf figures/fig13-deadlines.png: benchmarks/deadlines.csv

@@ -37,16 +37,14 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-import fly
-from links.sim import SimLink
-
-from fiplib.failsafe import Setpoint
+from fiplib.flight import command as fly
+from fiplib.flight.links.simulated import SimLink
+from fiplib.flight.sender import START_TIME, ignore_the_terminal
+from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO
 from fiplib.pilot import Pilot
-from fiplib.sender import START_TIME, ignore_the_terminal
+from fiplib.recording import Measurement
 from fiplib.simulate import SCENARIOS, Scenario
-from fiplib.windows import Measurement
 
 SAVED = Path(__file__).parent / "deadlines.csv"
 """What the figure fig13-deadlines reads. Committed, since times differ from run to run and figures should not."""
@@ -210,7 +208,7 @@ class Counters:
         pids = {process.name.removeprefix("fip-"): process.pid for process in multiprocessing.active_children()}
         for child in children(os.getpid()):
             with suppress(OSError):
-                if b"fiplib.live" in Path(f"/proc/{child}/cmdline").read_bytes():
+                if b"fiplib.bags.live" in Path(f"/proc/{child}/cmdline").read_bytes():
                     pids["recorder"] = child
         # the clock of a process, as clock_getcpuclockid of the C library makes it
         self._clocks = {name: (~pid << 3) | 2 for name, pid in pids.items() if pid}

@@ -6,6 +6,7 @@ The paper's Tables 1 and 2 are copied as printed. Where the paper is silent the 
 State order, names, labels and units are declared here and nowhere else.
 """
 
+import ast
 import dataclasses
 import math
 from dataclasses import dataclass, field
@@ -419,3 +420,15 @@ def _checked(name: str, value: Any, group: Any, key: str) -> Any:
     if not good:
         raise ValueError(f"{name} must be {kind}, not {value!r}")
     return value
+
+
+def assignment(text: str) -> tuple[str, Any]:
+    """``group.name=value`` as a keyword of ``Params.replace``; a value that is no Python literal is a string."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set {text}: write GROUP.NAME=VALUE, for example pendulum.length=0.8")
+    try:
+        parsed = ast.literal_eval(value)
+    except (ValueError, SyntaxError):
+        parsed = float(value) if value in ("inf", "-inf") else value
+    return name.replace(".", "__", 1), parsed

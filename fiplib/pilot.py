@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.dynamics import euler_angles
-from fiplib.estimators import ESTIMATORS, Estimator
-from fiplib.handover import HANDOVERS, HandOver
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimator
+from fiplib.estimators.handover import HANDOVERS, HandOver
+from fiplib.estimators.windows import SAMPLERS, RawSchedule, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
 from fiplib.params import (
@@ -37,7 +39,7 @@ from fiplib.params import (
     X,
     Y,
 )
-from fiplib.windows import SAMPLERS, Measurement, RawSchedule, RawWindow
+from fiplib.recording import Measurement
 
 
 class Command(NamedTuple):

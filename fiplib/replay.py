@@ -12,15 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiplib.bags import BagError, Event, Flight, Poses, Series
 from fiplib.dynamics import euler_angles
-from fiplib.handover import HANDOVERS
+from fiplib.estimators.handover import HANDOVERS
+from fiplib.estimators.windows import SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATE_NAMES, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
-from fiplib.recorder import ROLES
-from fiplib.simulate import Scenario, Tape
-from fiplib.windows import SAMPLERS, Measurement, RawSampler, RawSchedule, RawWindow, WindowSampler
+from fiplib.recording import ROLES, BagError, Event, Flight, Measurement, MemoryRecorder, Poses, Series
+from fiplib.simulate import Scenario
 
 
 class TimedWindow(NamedTuple):
@@ -30,7 +29,7 @@ class TimedWindow(NamedTuple):
     window: Window | RawWindow
 
 
-def flight_of(tape: Tape, scenario: Scenario) -> Flight:
+def flight_of(tape: MemoryRecorder, scenario: Scenario) -> Flight:
     """A simulated flight kept in memory, as ``bags.read`` gives it from its bag: what sweeps work on."""
 
     def poses(body: str) -> Poses:

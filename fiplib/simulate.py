@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,15 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiplib import __version__
 from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.estimators.base import Estimate
+from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
-from fiplib.likelihood import Estimate
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
 from fiplib.pilot import Circle, Command, Hover, Pilot, Reference, estimator_of
-from fiplib.windows import Measurement, RawWindow
-
-EPOCH = 1_767_225_600 * NANO
-"""Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
+from fiplib.recording import EPOCH, Measurement, Recorder
 
 FALLEN = math.cos(math.radians(60.0))
 """A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
@@ -71,64 +69,6 @@ class Scenario:
             "told_lengths": [list(told) for told in self.told_lengths],
             "params": params,
         }
-
-
-class Recorder(Protocol):
-    """What a flight is written to; times in ns. ``bags.Recorder`` writes a ROS 2 bag, ``Tape`` keeps arrays."""
-
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
-    def state(self, stamp: int, values: ArrayLike) -> None: ...
-    def reference(self, stamp: int, values: ArrayLike) -> None: ...
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
-    def event(self, stamp: int, level: str, text: str) -> None: ...
-    def truth(self, stamp: int, values: ArrayLike) -> None: ...
-    def truth_length(self, stamp: int, length: float) -> None: ...
-
-
-class Tape:
-    """A recorder in memory: ``tape["state"]`` is an array of (time in s since the start, values...).
-
-    ``stamps`` and ``values`` hold the same by topic, times in ns; ``replay.flight_of`` makes a ``Flight`` of them.
-    """
-
-    def __init__(self) -> None:
-        self.stamps: dict[str, list[int]] = {}
-        self.values: dict[str, list[tuple[float, ...]]] = {}
-        self.events: list[tuple[int, str, str]] = []
-
-    def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self.stamps.setdefault(topic, []).append(stamp)
-        self.values.setdefault(topic, []).append(values)
-
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
-        self._add(body, stamp, *position, *orientation)
-        self.stamps.setdefault(f"{body} received", []).append(received)
-
-    def state(self, stamp: int, values: ArrayLike) -> None:
-        self._add("state", stamp, *values)
-
-    def reference(self, stamp: int, values: ArrayLike) -> None:
-        self._add("reference", stamp, *values)
-
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
-        self._add("command", stamp, *rates, thrust)
-
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
-        self._add("length", stamp, used, raw, std)
-
-    def event(self, stamp: int, level: str, text: str) -> None:
-        self.events.append((stamp, level, text))
-
-    def truth(self, stamp: int, values: ArrayLike) -> None:
-        self._add("truth_state", stamp, *values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        self._add("truth_length", stamp, length)
-
-    def __getitem__(self, topic: str) -> NDArray:
-        seconds = (np.array(self.stamps.get(topic, []), dtype=np.int64) - EPOCH) / NANO
-        return np.column_stack([seconds, np.array(self.values.get(topic, []))]) if len(seconds) else np.zeros((0, 0))
 
 
 class Plant:

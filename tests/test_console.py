@@ -14,10 +14,10 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.parametrize(
     "command",
     [
-        ("-m", "fiplib.bags", "info", "data/circle-0.8"),
-        ("-m", "fiplib.figures", "--list"),
+        ("-m", "fiplib.bags.info", "info", "data/circle-0.8"),
+        ("-m", "fiplib.reproduction.figures", "--list"),
         ("scripts/fly.py", "--list"),
-        ("scripts/faults.py", "--list"),
+        ("-m", "fiplib.studies.faults.campaign", "--list"),
     ],
 )
 @pytest.mark.parametrize("unbuffered", ["1", ""])

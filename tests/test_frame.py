@@ -10,10 +10,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import NUMERIC_ENVIRONMENT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from ruamel.yaml import YAML
+
+from tests.conftest import NUMERIC_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -120,7 +121,7 @@ def test_the_citation_names_this_package_its_version_and_the_paper():
 
 
 def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
-    from fiplib.figures import FIGURES
+    from fiplib.reproduction.figures import FIGURES
 
     listed = {name: set(words(f"reads_{name} :=")) for name in figure_names()}
     assert listed == {name: set(figure.bags) for name, figure in FIGURES.items()}
@@ -129,8 +130,8 @@ def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
 
 
 def test_make_knows_which_bags_and_studies_the_ledger_is_judged_on():
-    from fiplib.claims import CLAIMS
-    from fiplib.summaries import FACTS
+    from fiplib.reproduction.claims import CLAIMS
+    from fiplib.studies.summaries import FACTS
 
     sources = {source for claim in CLAIMS for source in claim.bags if not source.endswith(".csv")}
     studies = {source.removeprefix("sweeps/") for source in sources if source.startswith("sweeps/")}
@@ -170,10 +171,12 @@ def test_numpy_knows_every_kernel_that_is_switched_off():
     assert not set(run.stdout.split()) & set(NUMERIC_ENVIRONMENT["NPY_DISABLE_CPU_FEATURES"].split())
 
 
-@pytest.mark.parametrize("program", ["fly", "firmware", "faults", None])
+@pytest.mark.parametrize(
+    "program", ["fiplib.flight.command", "fiplib.studies.betaflight", "fiplib.studies.faults.campaign"]
+)
 def test_numpy_has_one_thread_without_make_too(program):
     """Beside busy cores, threads that wait for each other make a small QR decomposition many times slower."""
-    start = f"import sys; sys.path.insert(0, 'scripts'); import {program}" if program else "import fiplib.likelihood"
+    start = f"import {program}"
     tasks = "import os; print(len(os.listdir('/proc/self/task')) if os.path.isdir('/proc/self/task') else 1)"
     work = "import numpy as np; np.linalg.qr(np.ones((2000, 40)))"
     bare = {name: value for name, value in os.environ.items() if name not in NUMERIC_ENVIRONMENT}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fiplib import bags, replay
-from fiplib.bags import BagError, Flight
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
 from fiplib.pilot import Hover
-from fiplib.simulate import SCENARIOS, Tape, fly
+from fiplib.recording import BagError, Flight, MemoryRecorder
+from fiplib.simulate import SCENARIOS, fly
 
 DATA = Path(__file__).parent.parent / "data"
 BAGS = sorted(path.parent.name for path in DATA.glob("*/metadata.yaml"))
@@ -94,7 +94,7 @@ def test_what_cannot_be_replayed_says_why(estimated):
 
 
 def test_a_flight_kept_in_memory_is_the_one_in_its_bag():
-    tape = Tape()
+    tape = MemoryRecorder()
     fly(SCENARIOS["length-jump"], tape)
     kept, recorded = replay.flight_of(tape, SCENARIOS["length-jump"]), bags.read(DATA / "length-jump")
     assert kept.metadata == recorded.metadata and kept.events == recorded.events and kept.start_ns == recorded.start_ns

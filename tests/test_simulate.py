@@ -9,15 +9,16 @@ import pytest
 from fiplib.dynamics import PLANT, prediction_model, rk4
 from fiplib.params import AXES, GRAVITY, A, B, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.simulate import EPOCH, SCENARIOS, Mocap, Plant, Push, Scenario, Tape, fly
+from fiplib.recording import EPOCH, MemoryRecorder
+from fiplib.simulate import SCENARIOS, Mocap, Plant, Push, Scenario, fly
 
 PARAMS = Params()
 QUIET = PARAMS.replace(simulation__position_noise=0.0, simulation__attitude_noise=0.0, simulation__initial_lean=0.0)
 
 
-def flown(**changes) -> tuple[Tape, object]:
+def flown(**changes) -> tuple[MemoryRecorder, object]:
     scenario = Scenario("test", "", 4.0, Hover())
-    tape = Tape()
+    tape = MemoryRecorder()
     return tape, fly(dataclasses.replace(scenario, **changes), tape)
 
 

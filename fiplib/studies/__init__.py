@@ -1,4 +1,4 @@
-"""The Monte Carlo studies, one module each; ``python -m fiplib.sweep NAME`` runs one over all cores, or a cluster.
+"""The Monte Carlo studies, one module each; ``python -m fiplib.studies.sweep NAME`` runs one over all cores, or a cluster.
 
 A study module has
 

@@ -25,11 +25,11 @@ from functools import cache
 import numpy as np
 
 from fiplib import replay
-from fiplib.bags import Flight
-from fiplib.bound import cramer_rao, motion
-from fiplib.likelihood import CALIBRATION
+from fiplib.estimators.cramer_rao import cramer_rao, motion
+from fiplib.estimators.likelihood import CALIBRATION
 from fiplib.params import NANO, Params
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight, MemoryRecorder
+from fiplib.simulate import Scenario, fly
 from fiplib.studies.landscapes import EXCITATIONS, RODS
 
 KEYS = ("excitation", "rod", "noise", "knowledge")
@@ -83,7 +83,7 @@ def flown(excitation: str, rod: str) -> Flight:
     params = Params().replace(pendulum__gyration_ratio=RODS[rod])
     seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
     scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    tape = Tape()
+    tape = MemoryRecorder()
     if not fly(scenario, tape).survived:
         raise RuntimeError(f"the rod fell on {excitation}")
     return replay.flight_of(tape, scenario)

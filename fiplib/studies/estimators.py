@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from fiplib import replay
-from fiplib.bags import Flight
-from fiplib.bound import cramer_rao, motion
 from fiplib.estimators import ESTIMATORS, Estimate
-from fiplib.likelihood import CALIBRATION, NUISANCES
+from fiplib.estimators.cramer_rao import cramer_rao, motion
+from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight, MemoryRecorder
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 
@@ -123,7 +123,7 @@ def _flown(case: dict) -> tuple[Flight, bool]:
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
     scenario = Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)
-    tape = Tape()
+    tape = MemoryRecorder()
     outcome = fly(scenario, tape)
     return replay.flight_of(tape, scenario), outcome.survived
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import MemoryRecorder
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("policy", "index")
 """In this order: the gains that the genetic algorithm keeps between windows are those of one fitness."""
@@ -80,7 +81,7 @@ def run(case: dict) -> dict[str, float | int | str]:
         piloting__initial_length=true if told else case["initial_length"],
         **POLICIES[case["policy"]],
     )
-    tape = Tape()
+    tape = MemoryRecorder()
     outcome = fly(Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"]), tape)
     times, used = tape["length"][:, 0], tape["length"][:, 1]
     return {

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from fiplib import replay
-from fiplib.bags import Flight
 from fiplib.estimators import ESTIMATORS
 from fiplib.params import Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Plant, Scenario, Tape, fly
+from fiplib.recording import Flight, MemoryRecorder
+from fiplib.simulate import Plant, Scenario, fly
 from fiplib.studies.estimators import DURATION, summarise, windows_of
 
 KEYS = ("imperfection", "seed")
@@ -118,7 +118,7 @@ def flown(imperfection: Imperfection, seed: int) -> tuple[Flight, bool]:
     def vehicle(params: Params, position: ArrayLike, lean: ArrayLike) -> Plant:
         return ImperfectPlant(params, position, lean, imperfection=imperfection, seed=scenario.seed)
 
-    tape = Tape()
+    tape = MemoryRecorder()
     outcome = fly(scenario, tape, vehicle=vehicle)
     flight = replay.flight_of(tape, scenario)
     if imperfection.marker or imperfection.mount:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib import kalman, replay
-from fiplib.bags import Flight
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight, MemoryRecorder
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""
@@ -139,7 +139,7 @@ def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
     scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    tape = Tape()
+    tape = MemoryRecorder()
     if not fly(scenario, tape).survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
     return replay.flight_of(tape, scenario)

@@ -17,10 +17,11 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from fiplib import claims, measures, replay
-from fiplib.bags import Flight
+from fiplib import replay
 from fiplib.params import Y_DOT, Params, Y
-from fiplib.simulate import SCENARIOS, Tape, fly
+from fiplib.recording import Flight, MemoryRecorder
+from fiplib.reproduction import claims, measures
+from fiplib.simulate import SCENARIOS, fly
 
 KEYS = ("variant", "scenario", "seed")
 """``variant`` is a name in ``VARIANTS``, ``scenario`` one in ``simulate.SCENARIOS``."""
@@ -103,7 +104,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
-    tape = Tape()
+    tape = MemoryRecorder()
     outcome = fly(scenario, tape)
     flight = replay.flight_of(tape, scenario)
     row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)

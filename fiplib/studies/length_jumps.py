@@ -26,10 +26,11 @@ import math
 
 import numpy as np
 
-from fiplib import margins
+from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import MemoryRecorder
+from fiplib.simulate import Scenario, fly
 from fiplib.studies.survival import RODS
 
 KEYS = ("length", "rod", "change", "lasting")
@@ -79,7 +80,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     )
     flown, ratios = [], []
     for seed in SEEDS:
-        tape = Tape()
+        tape = MemoryRecorder()
         scenario = Scenario("length jump", "", START + SECONDS, CIRCLE, told_lengths=told, params=params, seed=seed)
         flown.append(fly(scenario, tape))
         time, rates = tape["command"][:, 0], np.square(tape["command"][:, 1:3])

@@ -37,10 +37,11 @@ import itertools
 
 import numpy as np
 
-from fiplib import margins
+from fiplib.controllers import margins
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import MemoryRecorder
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("used_length", "true_length", "rod")
 """Lengths in m; ``rod`` is a name in ``RODS``."""
@@ -78,7 +79,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     )
     loop = margins.closed_loop(case["used_length"], params)
     low, high = loop.pendulum_share()
-    tapes = [Tape() for _ in SEEDS]
+    tapes = [MemoryRecorder() for _ in SEEDS]
     outcomes = [
         fly(Scenario("survival", "", SECONDS, CIRCLE, params=params, seed=seed), tape)
         for seed, tape in zip(SEEDS, tapes, strict=True)

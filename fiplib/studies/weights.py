@@ -31,12 +31,15 @@ from typing import Any
 
 import numpy as np
 
-from fiplib import claims, margins, measures, replay
-from fiplib.claims import Verdict
+from fiplib import replay
+from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
 from fiplib.pilot import Circle
-from fiplib.simulate import SCENARIOS, Scenario, Tape, fly
+from fiplib.recording import MemoryRecorder
+from fiplib.reproduction import claims, measures
+from fiplib.reproduction.claims import Verdict
+from fiplib.simulate import SCENARIOS, Scenario, fly
 from fiplib.studies.survival import RODS
 
 KEYS = ("candidate",)
@@ -148,7 +151,7 @@ def _starts(params: Params) -> dict[str, float]:
     up, leans = 0, []
     for start in STARTS:
         if start != params.pendulum.length:
-            tape = Tape()
+            tape = MemoryRecorder()
             flown = params.replace(piloting__initial_length=start)
             scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
             up += fly(scenario, tape).survived
@@ -158,7 +161,7 @@ def _starts(params: Params) -> dict[str, float]:
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
     """The rows of the ledger that are read from this flight; none holds if it falls."""
-    tape = Tape()
+    tape = MemoryRecorder()
     survived = fly(scenario, tape).survived
     flight = replay.flight_of(tape, scenario)
     row = {}

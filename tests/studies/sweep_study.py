@@ -1,0 +1,24 @@
+"""A small study for the tests of sweeps: short flights, cheap and yet chaotic enough to show a single differing bit."""
+
+import os
+
+from fiplib.params import Params
+from fiplib.pilot import Hover
+from fiplib.recording import MemoryRecorder
+from fiplib.simulate import Scenario, fly
+
+KEYS = ("length", "seed")
+
+
+def cases() -> list[dict]:
+    return [{"length": length, "seed": seed} for seed in range(5) for length in (1.25, 0.75, 1.0)]
+
+
+def run(case: dict) -> dict[str, float | str]:
+    if case["seed"] < 0:
+        os._exit(1)  # as a segmentation fault or the kernel short of memory end a worker
+    params = Params().replace(pendulum__length=case["length"])
+    tape = MemoryRecorder()
+    outcome = fly(Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"]), tape)
+    lean = float(tape["truth_state"][-1, 5])
+    return {"duration": outcome.duration, "survived": outcome.survived, "lean": lean, "lean_bits": lean.hex()}
