@@ -40,6 +40,7 @@ class Guard:
     Args:
         params: all parameters; the limits are those of ``params.safety``.
         reference: the trajectory; its time starts with the first command.
+        pilot: the controller; by default a ``Pilot`` for these.
 
     Attributes:
         pilot: the controller.
@@ -54,8 +55,8 @@ class Guard:
         solver_failure: what the solver failed with last, ``None`` if it never did.
     """
 
-    def __init__(self, params: Params, reference: Reference) -> None:
-        self.params, self.pilot = params, Pilot(params, reference)
+    def __init__(self, params: Params, reference: Reference, pilot: Pilot | None = None) -> None:
+        self.params, self.pilot = params, pilot or Pilot(params, reference)
         self.mode = Mode.DISARMED
         self.transitions: list[Transition] = []
         self.notes: list[Note] = []
