@@ -2,8 +2,7 @@
 
 ``VirtualLink`` moves the vehicle by one frame whenever a frame is asked for: as fast as possible, and the same every
 time. ``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the
-loopback interface, in place of a radio: commands come from the sender's process, frames go to the pilot's. In both the
-vehicle is held in place until it is first commanded with armed motors.
+loopback interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
 """
 
 import argparse
@@ -40,6 +39,14 @@ FrameTap = Callable[[Measurement, NDArray], None]
 """Called in the vehicle's process with each frame and the true state (11,) at its exposure; must pickle."""
 
 
+class HeldVehicle(SimulatedVehicle):
+    """The simulated vehicle, held in place until it is first commanded with armed motors."""
+
+    def command(self, command: Setpoint, at: int | None = None) -> None:
+        if command.armed or self.flown is not None:
+            super().command(command, at)
+
+
 class VirtualLink:
     """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last.
 
@@ -50,8 +57,8 @@ class VirtualLink:
 
     origin = "simulated"
 
-    def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle | None = None) -> None:
-        self.vehicle = vehicle or SimulatedVehicle(scenario)
+    def __init__(self, scenario: Scenario, vehicle: HeldVehicle | None = None) -> None:
+        self.vehicle = vehicle or HeldVehicle(scenario)
         self.truth: NDArray | None = None
         self.events: deque[Event] = deque()
         self.pids: dict[str, int] = {}
@@ -84,16 +91,10 @@ class VirtualLink:
         pass
 
     def send(self, setpoint: Setpoint) -> None:
-        take(self.vehicle, setpoint)
+        self.vehicle.command(setpoint)
 
     def fault(self) -> str | None:
         return None
-
-
-def take(vehicle: SimulatedVehicle, setpoint: Setpoint, at: int | None = None) -> None:
-    """Give a setpoint to a vehicle, which is held in place until the first armed one. ``at`` as ``Plant.command``."""
-    if setpoint.armed or vehicle.flown is not None:
-        vehicle.command(setpoint, at)
 
 
 class SimulatedLink:
@@ -235,7 +236,7 @@ def fly_vehicle(
     urgent(2)
     commands.setblocking(False)
     parent = multiprocessing.parent_process()
-    vehicle = SimulatedVehicle(scenario)
+    vehicle = HeldVehicle(scenario)
     rate, simulation = scenario.params.piloting.mocap_rate, scenario.params.simulation
     latency = round(simulation.mocap_latency * NANO)
     gc.freeze()
@@ -255,7 +256,7 @@ def fly_vehicle(
                         held = exposure
                     # the plant's clock started when the vehicle was let go
                     since = (time.monotonic_ns() - held) / NANO + simulation.rate_delay
-                    take(vehicle, setpoint, round(since * simulation.plant_rate))
+                    vehicle.command(setpoint, round(since * simulation.plant_rate))
             truth, frame = vehicle.plant.truth(), vehicle.measure(exposure + offset)
             pushed = (*push.impulse, push.duration) if push else (0.0, 0.0, 0.0)
             packet = FRAME.pack(frame.stamp, *np.concatenate(frame[1:]), *truth, *pushed)
