@@ -66,9 +66,7 @@ class Scenario:
     seed: int = 1
 
     def metadata(self) -> dict[str, Any]:
-        """What a bag of this flight carries about its origin; not ``safety`` and ``radio``, as ``fly`` uses neither."""
-        params = self.params.to_dict()
-        del params["safety"], params["radio"]
+        """Return what a bag of this flight carries about its origin."""
         return {
             "origin": "simulated",
             "version": __version__,
@@ -78,7 +76,7 @@ class Scenario:
             "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
-            "params": params,
+            "params": self.params.to_dict(),
         }
 
 

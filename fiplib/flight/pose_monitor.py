@@ -10,6 +10,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
 from fiplib.recording import Measurement
 
@@ -39,9 +40,9 @@ class PoseMonitor:
         remarks: what is worth recording about clocks; to be emptied by the reader.
     """
 
-    def __init__(self, params: Params) -> None:
-        self._safety = params.safety
-        self._tolerance = round(params.safety.clock_tolerance * NANO)
+    def __init__(self, params: Params, limits: Limits) -> None:
+        self._safety = limits.safety
+        self._tolerance = round(self._safety.clock_tolerance * NANO)
         self._cutoff = 2.0 * math.pi * params.piloting.velocity_cutoff
         self.learning = True
         self.refusal: str | None = None

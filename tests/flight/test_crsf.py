@@ -30,7 +30,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiplib.flight.failsafe import Guard
-from fiplib.flight.radio import (
+from fiplib.flight.crsf_frames import (
     BAUDS,
     FRAME_BYTES,
     US_OFFSET,
