@@ -24,6 +24,7 @@ from scipy.signal import lfilter
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
+from fiplib.flight.limits import Limits
 from fiplib.params import GRAVITY, Params, quantity
 from fiplib.simulate import Plant
 
@@ -80,13 +81,13 @@ class InnerLoop(Protocol):
         ...
 
 
-def settings(params: Params) -> list[str]:
-    """Lines for Betaflight's command line: ``radio.betaflight_settings`` but for the serial receiver that SITL lacks.
+def settings(params: Params, limits: Limits) -> list[str]:
+    """Lines for Betaflight's command line: ``betaflight_settings`` but for the serial receiver that SITL lacks.
 
     Smoothing of the channels and feedforward, which they switch off, SITL never starts anyway: it counts every pass of
     its receiver as a frame, and these come faster than the firmware believes.
     """
-    return [line for line in betaflight_settings(params) if not line.startswith("set serialrx_")]
+    return [line for line in betaflight_settings(params.vehicle, limits.radio) if not line.startswith("set serialrx_")]
 
 
 def sensors(body_rate: ArrayLike, specific_force: ArrayLike, attitude: ArrayLike) -> bytes:

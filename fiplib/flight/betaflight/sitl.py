@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from fiplib.flight.betaflight import airframe as model
 from fiplib.flight.betaflight.airframe import Airframe, InnerLoop, MotorPlant
+from fiplib.flight.crsf_frames import Encoder
+from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import HeldVehicle
-from fiplib.flight.radio import Encoder
 from fiplib.flight.setpoint import Setpoint, disarmed
 from fiplib.params import NANO, FipError
 from fiplib.simulate import GROUND, Push, Scenario
@@ -267,8 +268,8 @@ class MotorVehicle(HeldVehicle):
 
     plant: MotorPlant
 
-    def __init__(self, scenario: Scenario, inner: InnerLoop, airframe: Airframe) -> None:
-        self._encoder = Encoder(scenario.params)
+    def __init__(self, scenario: Scenario, limits: Limits, inner: InnerLoop, airframe: Airframe) -> None:
+        self._encoder = Encoder(scenario.params, limits)
         idle = self._encoder.channels(0, disarmed(0))
         super().__init__(scenario, lambda *start: MotorPlant(*start, inner, airframe, idle))
         self._wait(WARM_UP)

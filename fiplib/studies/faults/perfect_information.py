@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import VirtualLink
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO
@@ -75,7 +76,7 @@ def _balances(
         if setpoint is not None and not deaf[0] <= at < deaf[1]:
             link.send(setpoint)
         now, frame = link.receive(0.0) or (now, frame)
-        outside = np.abs(link.vehicle.plant.x[:3]) > params.safety.fence
+        outside = np.abs(link.vehicle.plant.x[:3]) > Limits().safety.fence
         if link.vehicle.plant.fallen or outside.any():
             return False
     return True

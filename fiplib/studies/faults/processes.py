@@ -28,14 +28,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from fiplib import bags
-from fiplib.bags.live import _RESERVE
-from fiplib.flight.links import simulated
-from fiplib.flight.links.simulated import FRAME, LoopbackSink
+from fiplib.bags.live import RESERVE
+from fiplib.flight.limits import Limits
+from fiplib.flight.links.simulated import LoopbackSink, SimulatedLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.sender import decode, encode
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO, Params
-from fiplib.simulate import Scenario
+from fiplib.recording import Measurement
 from fiplib.studies.faults.verdict import (
     BALANCED,
     DEAD,
@@ -57,6 +57,7 @@ ENDED = 2.5
 """A flight is over when nothing is heard of it for so long, s."""
 WITNESS = struct.Struct("<cq")
 """What goes to the witness: its kind and the monotonic time, ns; a setpoint, a true state or JSON follow."""
+TRUTH = struct.Struct("<11d")
 HOVER = ("--scenario", "push-hover", "--duration", "7")
 ESTIMATED = ("--scenario", "estimate-1.2", "--duration", "16", "--set", "safety.estimator_timeout=1.0")
 
@@ -100,26 +101,24 @@ class ProcessFault(Fault):
                     killed = end_all(process, witness)
                 words.seek(0)
                 said = words.read()
-            bag = bag_after(place / "bag", clock, said)
+            bag = bag_after(place / "bag", clock, bool(witness.recording))
         return self._judged(witness, began, said, process.returncode, killed, bag)
 
     def _judged(
         self, witness: "Witness", began: int, said: str, code: int | None, killed: bool, bag: str
     ) -> dict[str, Any]:
         """The row: what does not depend on the flight's timing."""
-        params = Params()
         sent = [(at, setpoint) for at, setpoint in witness.commands if at >= began]
-        commands = Commands.of(sent, params)
+        commands = Commands.of(sent, Params(), Limits())
         up = max(at for at, setpoint in sent if setpoint.armed and setpoint.mode is not Mode.LEVEL)
         duration = float(self.arguments[self.arguments.index("--duration") + 1])
         upright = all(math.hypot(*truth[[4, 6]]) < 0.4 for at, truth in witness.truths if at <= up)
         # the flight's end is told by the arrival of a frame
         balanced = (up - began) / NANO > duration - 0.1 and upright
-        ended = (re.search(r"not balanced to the end \((.*?)\)(?:; wrote|$)", said, re.M) or [None, ""])[1]
         off = commands.disarming[0] if len(commands.disarming) else commands.last_armed
         stopped = next((truth for at, truth in witness.truths if at > off), None)
         level = stopped is None or tilt_of(stopped) < LEVEL
-        vehicle = "gone" if stopped is None else given_up(stopped, params.safety.floor)
+        vehicle = "gone" if stopped is None else given_up(stopped, Limits().safety.floor)
         error = "did not end" if killed else "yes" if "Traceback" in said else "no"
         safe = error == "no" and commands.safe and "LOST" not in bag.upper()
         held, perfect = commands.disarm_seconds, self.demanded != DEAD
@@ -130,7 +129,7 @@ class ProcessFault(Fault):
         )
         return self.row(
             vehicle=BALANCED if balanced else vehicle,
-            ended=re.sub(r"\d+ ms old", "too old", ended),
+            ended=re.sub(r"\d+ ms old", "too old", witness.ended),
             not_finite=commands.not_finite,
             out_of_bounds=commands.out_of_bounds,
             disarm_s=f">={DISARM_SECONDS:g}" if held >= DISARM_SECONDS else f"{held:.2f}",
@@ -142,7 +141,13 @@ class ProcessFault(Fault):
 
 
 class Witness:
-    """Hears every command on its way to the vehicle and every true state of it, whatever dies; a context manager."""
+    """Hears every command on its way to the vehicle and every true state of it, whatever dies; a context manager.
+
+    Attributes:
+        commands, truths: (time in ns, setpoint or true state (11,)).
+        pids: of the flight's processes, by name.
+        ended, recording: why the flight did not balance to its end, and why its recording stopped, if it says so.
+    """
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -151,6 +156,7 @@ class Witness:
         self.commands: list[tuple[int, Setpoint]] = []
         self.truths: list[tuple[int, NDArray]] = []
         self.pids: dict[str, int] = {}
+        self.ended = self.recording = ""
 
     def __enter__(self) -> Self:
         return self
@@ -168,9 +174,11 @@ class Witness:
             if kind == b"C":
                 self.commands.append((at, decode(rest)))
             elif kind == b"T":
-                self.truths.append((at, np.array(FRAME.unpack(rest)[15:])))
-            else:
+                self.truths.append((at, np.array(TRUTH.unpack(rest))))
+            elif kind == b"P":
                 self.pids = json.loads(rest)
+            else:
+                self.ended, self.recording = json.loads(rest)
         return heard
 
 
@@ -191,41 +199,12 @@ class TappedSink(LoopbackSink):
         tell(self._port, b"C", encode(setpoint))
 
 
-class TappedSocket:
-    """The vehicle's socket, with a copy of its frames for the witness."""
-
-    def __init__(self, port: int, inner: socket.socket) -> None:
-        self._port, self._inner = port, inner
-
-    def sendto(self, data: bytes, address: tuple[str, int]) -> int:
-        tell(self._port, b"T", data)
-        return self._inner.sendto(data, address)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
+def tell_truth(port: int, frame: Measurement, truth: NDArray) -> None:
+    """Report a true state to the witness, from the vehicle's process."""
+    tell(port, b"T", TRUTH.pack(*truth))
 
 
-def tapped_vehicle(port: int, scenario: Scenario, commands: socket.socket, *rest: Any) -> None:
-    """The vehicle's process, with a copy of its frames for the witness."""
-    simulated._fly_vehicle(scenario, TappedSocket(port, commands), *rest)  # type: ignore[arg-type]
-
-
-def fly_tapped(port: int, arguments: list[str]) -> int:
-    """``scripts/fly.py`` with these arguments, every command and every true state also told to the witness."""
-    from fiplib.flight import command as script
-
-    class Reporting(FlightLoop):
-        def step(self) -> None:
-            super().step()
-            if self.clockwork.ticks % 30 == 1:
-                pids = {"pilot": os.getpid(), **self._link.pids, "recorder": self._recorder._process.pid}
-                pids["estimator"] = getattr(self._estimator, "pid", None)
-                tell(port, b"P", json.dumps(pids).encode())
-
-    script.FlightLoop = Reporting
-    simulated.LoopbackSink = functools.partial(TappedSink, port)
-    simulated._fly_vehicle = functools.partial(tapped_vehicle, port)
-    return script.main(arguments)
+@@FLY@@
 
 
 def stop(process: str, seconds: float = math.inf):
@@ -294,8 +273,8 @@ def small_disk(place: Path, size: int) -> None:
         raise OSError(f"no small disk can be mounted here: {mounted.stderr.strip()}")
 
 
-def bag_after(bag: Path, struck: int, said: str) -> str:
-    """What has become of the recording, and what is missing of the time up to the fault."""
+def bag_after(bag: Path, struck: int, stopped: bool) -> str:
+    """What has become of a recording, ``stopped`` in flight or not, and what it misses up to the fault at ``struck``."""
     state = state_of(bag)
     if state.startswith("lost"):
         return state
@@ -304,7 +283,7 @@ def bag_after(bag: Path, struck: int, said: str) -> str:
         missing = (struck - int(flight.command.stamp[-1])) / NANO
     if missing > 1.0:
         return f"{state}, MORE THAN 1 s LOST"
-    state += ", up to the fault" if "recording stopped" in said or state == "recovered" else ""
+    state += ", up to the fault" if stopped or state == "recovered" else ""
     return state if missing <= 0.0 or state == "valid" else f"{state} but for 1 s at most"
 
 
@@ -332,7 +311,7 @@ PROCESS_FAULTS = {
     "hang-pilot-50ms": _process("pilot hangs for 50 ms", stop("pilot", 0.05)),
     "hang-pilot-150ms": _process("pilot hangs for 150 ms", stop("pilot", 0.15)),
     "hang-pilot-2s": _process("pilot hangs for 2 s", stop("pilot", 2.0), demanded=PULSE),
-    "disk-full": ProcessFault("recording", "disk full in flight", lambda witness: None, disk=_RESERVE + (150 << 10)),
+    "disk-full": ProcessFault("recording", "disk full in flight", lambda witness: None, disk=RESERVE + (150 << 10)),
     "ctrl-c": _operator("Ctrl-C", "SIGINT"),
     "ctrl-c-twice": _operator("Ctrl-C twice: motors off", "SIGINT", "SIGINT"),
     "terminal-lost": _operator("terminal lost (SIGHUP)", "SIGHUP"),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib import bags
+from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO, Params
 
@@ -68,12 +69,12 @@ class Commands(NamedTuple):
     longest_gap: float
 
     @classmethod
-    def of(cls, sent: Sequence[tuple[int, Setpoint]], params: Params) -> "Commands":
-        """Check setpoints, each with the time in ns at which it was sent, against the bounds of ``params``."""
+    def of(cls, sent: Sequence[tuple[int, Setpoint]], params: Params, limits: Limits) -> "Commands":
+        """Check setpoints, each with the time in ns at which it was sent, against the bounds."""
         numbers = np.array([(*setpoint.body_rate, setpoint.thrust) for _, setpoint in sent])
         times = np.array([now for now, _ in sent])
         rates, thrust = np.abs(numbers[:, :3]), numbers[:, 3]
-        within = (rates <= params.vehicle.max_body_rate).all(1) & (thrust >= 0.0) & (thrust <= params.safety.max_thrust)
+        within = (rates <= params.vehicle.max_body_rate).all(1) & (thrust >= 0.0) & (thrust <= limits.safety.max_thrust)
         not_finite = int((~np.isfinite(numbers)).any(1).sum())
         last_armed = max(now for now, setpoint in sent if setpoint.armed)
         return cls(

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from fiplib import bags
 from fiplib.estimators.base import Estimate
 from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits, recorded
 from fiplib.flight.links.simulated import VirtualLink
 from fiplib.flight.loop import FlightLoop
-from fiplib.flight.operator import Operator
+from fiplib.flight.operator_input import OperatorInput
 from fiplib.flight.sender import PATIENCE, DeadMan
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.mpc import Solution
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover, Pilot, Tick
-from fiplib.recording import EPOCH, Measurement
+from fiplib.recording import EPOCH, Event, Measurement
 from fiplib.simulate import Push, Scenario, SimulatedEstimator
 from fiplib.studies.faults import injection as inject
 from fiplib.studies.faults.injection import Change, EstimateFault, FrameFault, SolverFault
@@ -41,6 +42,8 @@ from fiplib.studies.faults.verdict import (
     tilt_of,
 )
 
+LIMITS = Limits()
+"""Of the failsafe and the command sender, in every flight."""
 START = 3.0
 """Faults begin at this time after take-off, s."""
 POSES = "the limit of 100 ms without poses"
@@ -86,11 +89,11 @@ class VirtualFault(Fault):
         scenario, params, error = self.scenario, self.scenario.params, ""
         frames = self.frames(np.random.default_rng(scenario.seed + 100)) if self.frames else None
         link = FaultyLink(scenario, frames, self.deaf)
-        guard = Guard(params, scenario.reference, FaultyPilot(link, self))
+        guard = Guard(params, LIMITS, scenario.reference, FaultyPilot(link, self))
         estimator = FaultyEstimator(link, self) if params.piloting.estimate else None
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / "bag"
-            with bags.BagRecorder(bag, {**scenario.metadata(), "params": params.to_dict()}) as recorder:
+            with bags.BagRecorder(bag, {**scenario.metadata(), "params": recorded(params, LIMITS)}) as recorder:
                 flight = FlightLoop(scenario, link, guard, recorder, estimator, Aborting(link, self.aborts))
                 try:
                     flight.run()
@@ -102,7 +105,7 @@ class VirtualFault(Fault):
     def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
         scenario, params = self.scenario, self.scenario.params
         took_off = next(now for now, setpoint in link.sent if setpoint.armed)
-        commands = Commands.of([entry for entry in link.sent if entry[0] >= took_off], params)
+        commands = Commands.of([entry for entry in link.sent if entry[0] >= took_off], params, LIMITS)
         path = [entry for entry in guard.transitions if entry.stamp > took_off]
         ended = next((entry for entry in path if entry.reason == "end of the scenario"), None)
         levelled = next((entry for entry in reversed(path) if entry.before is not Mode.LEVEL), None)
@@ -121,7 +124,7 @@ class VirtualFault(Fault):
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
         return self.row(
             modes=modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
-            vehicle=BALANCED if balanced else given_up(stopped, params.safety.floor),
+            vehicle=BALANCED if balanced else given_up(stopped, LIMITS.safety.floor),
             ended=levelled.reason if levelled and not balanced else "",
             largest_a_cm=f"{100 * offsets[:, 0].max():.1f}",
             largest_b_cm=f"{100 * offsets[:, 1].max():.1f}",
@@ -148,12 +151,13 @@ class FaultyLink:
     """
 
     origin = "simulated"
+    pids: ClassVar[dict[str, int]] = {}
 
     def __init__(self, scenario: Scenario, frames: FrameFault | None, deaf: tuple[float, float]) -> None:
-        self._link, self._params, self._fault, self._deaf = VirtualLink(scenario), scenario.params, frames, deaf
-        self._rate, self._period = scenario.params.piloting.mocap_rate, NANO / scenario.params.safety.send_rate
+        self._link, self._fault, self._deaf = VirtualLink(scenario), frames, deaf
+        self._rate, self._period = scenario.params.piloting.mocap_rate, NANO / LIMITS.safety.send_rate
         self._arrived: deque[Measurement] = deque()
-        self._man, self._due = DeadMan(scenario.params), math.inf
+        self._man, self._due = DeadMan(scenario.params, LIMITS), math.inf
         self.sent: list[tuple[int, Setpoint]] = []
         self.truths: list[tuple[int, NDArray]] = []
 
@@ -167,8 +171,21 @@ class FaultyLink:
     def truth(self) -> NDArray | None:
         return self._link.truth
 
+    @property
+    def events(self) -> deque[Event]:
+        return self._link.events
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        pass
+
     def now(self) -> int:
         return self._link.now()
+
+    def wait(self) -> None:
+        pass
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
         left = math.ceil(timeout * self._rate - 1e-6)
@@ -194,7 +211,7 @@ class FaultyLink:
 
     def leave(self) -> None:
         """End as ``sender.Sender.close`` does."""
-        end = self.now() + round(self._params.safety.leave_time * NANO)
+        end = self.now() + round(LIMITS.safety.leave_time * NANO)
         self._man.hear(self.now(), disarmed(self.now()))
         while self.now() < end:
             self._frame()
@@ -249,7 +266,7 @@ class FaultyEstimator(SimulatedEstimator):
         return self._fault(answer, self._count)
 
 
-class Aborting(Operator):
+class Aborting(OperatorInput):
     """An operator who asks to land at the first time given, and for motors off at the second."""
 
     def __init__(self, link: FaultyLink, times: Sequence[float]) -> None:
