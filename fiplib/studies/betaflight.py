@@ -37,7 +37,7 @@ from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
 from fiplib.params import NANO, Params, assignment
-from fiplib.pilot import Hover
+from fiplib.pilot import Hover, Pilot
 from fiplib.recording import Measurement, MemoryRecorder, Recorder
 from fiplib.simulate import Scenario, SimulatedEstimator
 from fiplib.studies.estimators import summarise
@@ -94,7 +94,7 @@ class Flown(NamedTuple):
 
 def flown(scenario: Scenario, limits: Limits, link: ObservedLink, recorder: Recorder) -> Flown:
     """One flight behind the failsafe, in virtual time."""
-    guard = Guard(scenario.params, limits, scenario.reference)
+    guard = Guard(Pilot(scenario.params, scenario.reference), limits)
     estimator = SimulatedEstimator(scenario.params, scenario.seed)
     loop = FlightLoop(scenario, link, guard, recorder, estimator)
     loop.run()

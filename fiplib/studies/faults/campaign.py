@@ -1,4 +1,4 @@
-"""The fault campaign: inject faults into simulated flights behind the failsafe, and say what happened.
+"""The fault campaign: inject faults into simulated flights behind the failsafe, and report what happened.
 
     fip faults
     fip faults --list
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fly the faults that are asked for; 1 if one did not meet the target.
+    """Fly the faults that are asked for; return 1 if one did not meet the target, else 0.
 
     Raises:
         ValueError: an unknown fault, or some faults alone without a table of their own.
@@ -89,18 +89,18 @@ def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False) -> None:
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """The rows of a finished table."""
+    """Return the rows of a finished table."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def counted(rows: Sequence[Mapping[str, str]]) -> Counter[str]:
-    """How many of the verdicts begin with each word: "met", "by design", "NOT MET"."""
+    """Count how many of the verdicts begin with each word: "met", "by design", "NOT MET"."""
     return Counter(row["verdict"].partition(":")[0] for row in rows)
 
 
 def with_table(page: str, rows: Sequence[Mapping[str, str]]) -> str:
-    """A page in Markdown with the table between its marks made anew."""
+    """Return a page in Markdown with the table between its marks made anew."""
     before, _, rest = page.partition(MARKS[0])
     _, _, after = rest.partition(MARKS[1])
     counts = counted(rows)

@@ -4,6 +4,7 @@ A flight runs in a process of its own, as ``fip fly --real-time`` does, and star
 the estimator and the simulated vehicle. Of these flights the table keeps what does not depend on timing.
 """
 
+import argparse
 import contextlib
 import functools
 import json
@@ -29,12 +30,16 @@ from tqdm import tqdm
 
 from fiplib import bags
 from fiplib.bags.live import RESERVE
+from fiplib.flight import command
+from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import LoopbackSink, SimulatedLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.sender import decode, encode
+from fiplib.flight.session import Session
 from fiplib.flight.setpoint import Mode, Setpoint
-from fiplib.params import NANO, Params
+from fiplib.params import NANO, FipError, Params
+from fiplib.pilot import Pilot
 from fiplib.recording import Measurement
 from fiplib.studies.faults.verdict import (
     BALANCED,
@@ -107,7 +112,7 @@ class ProcessFault(Fault):
     def _judged(
         self, witness: "Witness", began: int, said: str, code: int | None, killed: bool, bag: str
     ) -> dict[str, Any]:
-        """The row: what does not depend on the flight's timing."""
+        """Return the row: what does not depend on the flight's timing."""
         sent = [(at, setpoint) for at, setpoint in witness.commands if at >= began]
         commands = Commands.of(sent, Params(), Limits())
         up = max(at for at, setpoint in sent if setpoint.armed and setpoint.mode is not Mode.LEVEL)
@@ -165,7 +170,7 @@ class Witness:
         self._socket.close()
 
     def listen(self, seconds: float) -> bool:
-        """Hear what comes within so many seconds; whether anything did."""
+        """Take what comes within so many seconds; return whether anything did."""
         end, heard = time.monotonic() + seconds, False
         while (left := end - time.monotonic()) > 0 and select.select([self._socket], [], [], left)[0]:
             data = self._socket.recv(65536)
@@ -183,6 +188,7 @@ class Witness:
 
 
 def tell(port: int, kind: bytes, data: bytes) -> None:
+    """Report to the witness, if it is still there."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.sendto(WITNESS.pack(kind, time.monotonic_ns()) + data, ("127.0.0.1", port))
 
@@ -204,11 +210,33 @@ def tell_truth(port: int, frame: Measurement, truth: NDArray) -> None:
     tell(port, b"T", TRUTH.pack(*truth))
 
 
-@@FLY@@
+def fly_tapped(port: int, arguments: list[str]) -> int:
+    """Fly as ``fip fly`` does with these arguments; every command and every true state is reported to the witness."""
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    options = parser.parse_args(arguments)
+    scenario, limits = command.chosen(options)
+    link = SimulatedLink(scenario, limits, functools.partial(TappedSink, port), functools.partial(tell_truth, port))
+    ended = stopped = ""
+
+    def report(loop: FlightLoop, session: Session) -> None:
+        nonlocal ended
+        if loop.clockwork.ticks % 30 == 1:
+            tell(port, b"P", json.dumps(session.pids).encode())
+        ended = "" if loop.balanced else loop.guard.ended or ""
+
+    session = Session(scenario, limits, link, Path(options.output), real_time=True)
+    try:
+        status = command.fly(session, Guard(Pilot(scenario.params, scenario.reference), limits), report)
+    except FipError as error:
+        print(error, file=sys.stderr)
+        stopped, status = str(error), 2
+    tell(port, b"E", json.dumps([ended, stopped]).encode())
+    return status
 
 
 def stop(process: str, seconds: float = math.inf):
-    """Stop a process, and let it go on after so many seconds."""
+    """Return what stops a process, and lets it go on after so many seconds."""
 
     def hit(witness: Witness) -> None:
         pid = witness.pids[process]
@@ -221,7 +249,7 @@ def stop(process: str, seconds: float = math.inf):
 
 
 def send(process: str, *names: str, times: int = 1):
-    """Send signals to a process, or to those that are started in its place."""
+    """Return what sends signals to a process, or to those that are started in its place."""
 
     def hit(witness: Witness) -> None:
         for _ in range(times):
@@ -236,12 +264,13 @@ def send(process: str, *names: str, times: int = 1):
 
 
 def both(witness: Witness) -> None:
+    """Kill recorder and pilot at once."""
     for name in ("recorder", "pilot"):
         os.kill(witness.pids[name], signal.SIGKILL)
 
 
 def took_off(witness: Witness, process: subprocess.Popen) -> int:
-    """Wait for the first armed command; when it was sent, ns."""
+    """Wait for the first armed command; return when it was sent, ns."""
     end = time.monotonic() + 120.0
     while time.monotonic() < end and process.poll() is None:
         witness.listen(0.1)
@@ -252,7 +281,7 @@ def took_off(witness: Witness, process: subprocess.Popen) -> int:
 
 
 def end_all(process: subprocess.Popen, witness: Witness) -> bool:
-    """End what is left of a flight; whether its script had to be killed."""
+    """End what is left of a flight; return whether its own process had to be killed."""
     left = process.poll() is None
     if left:
         process.kill()
@@ -266,7 +295,7 @@ def end_all(process: subprocess.Popen, witness: Witness) -> bool:
 
 
 def small_disk(place: Path, size: int) -> None:
-    """A disk with so many bytes; OSError where none can be mounted."""
+    """Mount a disk with so many bytes. Raises OSError where none can be mounted."""
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "fip", str(place)]
     mounted = subprocess.run(command, capture_output=True, text=True, check=False)
     if mounted.returncode:
@@ -274,7 +303,7 @@ def small_disk(place: Path, size: int) -> None:
 
 
 def bag_after(bag: Path, struck: int, stopped: bool) -> str:
-    """What has become of a recording, ``stopped`` in flight or not, and what it misses up to the fault at ``struck``."""
+    """Return the state of a recording, ``stopped`` in flight or not, and what it misses up to the time ``struck``, ns."""
     state = state_of(bag)
     if state.startswith("lost"):
         return state

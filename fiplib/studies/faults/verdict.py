@@ -46,11 +46,11 @@ class Fault:
     demanded: str = field(default="", kw_only=True)
 
     def fly(self) -> dict[str, Any]:
-        """Inject it into a flight; the row of the table, by ``COLUMNS``."""
+        """Inject it into a flight; return the row of the table, by ``COLUMNS``."""
         raise NotImplementedError
 
     def row(self, **values: Any) -> dict[str, Any]:
-        """The row with these values; the other columns stay empty."""
+        """Return the row with these values; the other columns stay empty."""
         return {**dict.fromkeys(COLUMNS, ""), "group": self.group, "what": self.what, **values}
 
 
@@ -88,7 +88,7 @@ class Commands(NamedTuple):
 
     @property
     def disarm_seconds(self) -> float:
-        """From the first to the last of the level-and-disarm frames, s."""
+        """Time from the first to the last of the level-and-disarm frames, s."""
         return float(self.disarming[-1] - self.disarming[0]) / NANO if len(self.disarming) else 0.0
 
     @property
@@ -98,12 +98,12 @@ class Commands(NamedTuple):
 
 
 def tilt_of(truth: NDArray) -> float:
-    """The angle in rad between the vehicle's z axis and the vertical, of a true state (11,)."""
+    """Return the angle in rad between the vehicle's z axis and the vertical, from a true state (11,)."""
     return math.acos(math.cos(truth[8]) * math.cos(truth[9]))
 
 
 def given_up(truth: NDArray, floor: float) -> str:
-    """How the motors were stopped, from the true state (11,) at the first disarm frame and the floor's height, m."""
+    """Say how the motors were stopped, from the true state (11,) at the first disarm frame and the floor's height, m."""
     tilt, height = tilt_of(truth), truth[10]
     how = "levelled" if tilt < LEVEL else f"tilted {math.degrees(tilt):.0f} deg"
     where = "landed" if height < floor + 0.05 else f"stopped at {height:.1f} m"
@@ -137,7 +137,7 @@ def judge(safe: bool, balanced: bool, level: bool, perfect: bool, gaps: bool | N
 
 
 def modes_of(path: Sequence[Mode]) -> str:
-    """The modes after take-off in order; where there are many, how often each was entered, and the last."""
+    """Return the modes after take-off in order; where there are many, how often each was entered, and the last."""
     if len(path) <= 8:
         return " > ".join(["flying", *(mode.value for mode in path)])
     counts = ", ".join(f"{mode.value} {path.count(mode)}x" for mode in Mode if mode in path)
@@ -145,7 +145,7 @@ def modes_of(path: Sequence[Mode]) -> str:
 
 
 def state_of(bag: Path) -> str:
-    """Whether a bag can be read, and if not, whether it can be recovered."""
+    """Say whether a bag can be read, and if not, whether it can be recovered."""
     try:
         bags.read(bag)
     except bags.BagError:

@@ -89,7 +89,7 @@ class VirtualFault(Fault):
         scenario, params, error = self.scenario, self.scenario.params, ""
         frames = self.frames(np.random.default_rng(scenario.seed + 100)) if self.frames else None
         link = FaultyLink(scenario, frames, self.deaf)
-        guard = Guard(params, LIMITS, scenario.reference, FaultyPilot(link, self))
+        guard = Guard(FaultyPilot(link, self), LIMITS)
         estimator = FaultyEstimator(link, self) if params.piloting.estimate else None
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / "bag"
