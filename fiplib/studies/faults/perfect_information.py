@@ -4,7 +4,6 @@ It is the pilot without failsafe that is given true states without noise and the
 no failsafe could have kept it.
 """
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,32 +23,20 @@ NEVER = (math.inf, math.inf)
 """(start, end) of a gap that does not come, s after take-off."""
 
 
-@functools.cache
-def balances(scenario: Scenario, blind: tuple[float, float] = NEVER) -> bool:
+def balances(
+    scenario: Scenario,
+    blind: tuple[float, float] = NEVER,
+    deaf: tuple[float, float] = NEVER,
+    sent: Mapping[int, Setpoint] | None = None,
+) -> bool:
     """Return whether the controller keeps the rod up.
 
     Args:
         scenario: flown without noise and with the true length.
         blind: (start, end) in s after take-off; meanwhile it flies the plan that it had, by time.
+        deaf: (start, end) in s after take-off; meanwhile no command gets through, and the last one is held.
+        sent: the setpoints on which it flies until it goes deaf, by time in ns; then the controller takes over.
     """
-    return _balances(scenario, blind, NEVER, {})
-
-
-def balances_after(scenario: Scenario, deaf: tuple[float, float], sent: Mapping[int, Setpoint]) -> bool:
-    """Return whether the controller keeps the rod up that takes over when the vehicle goes deaf.
-
-    Args:
-        scenario: flown without noise and with the true length.
-        deaf: (start, end) in s after take-off; meanwhile no command gets through.
-        sent: the setpoints on which the vehicle flies until then, by time in ns; the last of them is the one that it
-            holds while it is deaf.
-    """
-    return _balances(scenario, NEVER, deaf, sent)
-
-
-def _balances(
-    scenario: Scenario, blind: tuple[float, float], deaf: tuple[float, float], sent: Mapping[int, Setpoint]
-) -> bool:
     params = scenario.params.replace(
         simulation__position_noise=0.0,
         simulation__attitude_noise=0.0,

@@ -103,7 +103,7 @@ def tilt_of(truth: NDArray) -> float:
 
 
 def given_up(truth: NDArray, floor: float) -> str:
-    """Say how the motors were stopped, from the true state (11,) at the first disarm frame and the floor's height, m."""
+    """Say how the motors were stopped, from the true state (11,) at the first disarm frame; floor in m."""
     tilt, height = tilt_of(truth), truth[10]
     how = "levelled" if tilt < LEVEL else f"tilted {math.degrees(tilt):.0f} deg"
     where = "landed" if height < floor + 0.05 else f"stopped at {height:.1f} m"

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +23,13 @@ from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.mpc import Solution
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover, Pilot, Tick
-from fiplib.recording import EPOCH, Event, Measurement
+from fiplib.recording import EPOCH, Measurement
 from fiplib.simulate import Push, Scenario, SimulatedEstimator
 from fiplib.studies.faults import injection as inject
+from fiplib.studies.faults import verdict
 from fiplib.studies.faults.injection import Change, EstimateFault, FrameFault, SolverFault
-from fiplib.studies.faults.perfect_information import NEVER, balances, balances_after
-from fiplib.studies.faults.verdict import (
-    BALANCED,
-    LEVEL,
-    OPERATOR,
-    PULSE,
-    Commands,
-    Fault,
-    given_up,
-    judge,
-    modes_of,
-    state_of,
-    tilt_of,
-)
+from fiplib.studies.faults.perfect_information import NEVER, balances
+from fiplib.studies.faults.verdict import Commands, Fault
 
 LIMITS = Limits()
 """Of the failsafe and the command sender, in every flight."""
@@ -100,7 +89,7 @@ class VirtualFault(Fault):
                 except Exception as raised:
                     error = f"{type(raised).__name__}: {raised}"
                 link.leave()
-            return self._judged(link, guard, error, state_of(bag))
+            return self._judged(link, guard, error, verdict.state_of(bag))
 
     def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
         scenario, params = self.scenario, self.scenario.params
@@ -117,14 +106,12 @@ class VirtualFault(Fault):
         off = commands.disarming[0] if len(commands.disarming) else math.inf
         stopped = next((truth for now, truth in link.truths if now >= off), link.truths[-1][1])
         perfect, gaps = balances(scenario), None
-        if self.blind != NEVER:
-            gaps = balances(scenario, self.blind)
-        if self.deaf != NEVER:
-            gaps = balances_after(scenario, self.deaf, dict(link.sent))
+        if (self.blind, self.deaf) != (NEVER, NEVER):
+            gaps = balances(scenario, self.blind, self.deaf, dict(link.sent) if self.deaf != NEVER else None)
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
         return self.row(
-            modes=modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
-            vehicle=BALANCED if balanced else given_up(stopped, LIMITS.safety.floor),
+            modes=verdict.modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
+            vehicle=verdict.BALANCED if balanced else verdict.given_up(stopped, LIMITS.safety.floor),
             ended=levelled.reason if levelled and not balanced else "",
             largest_a_cm=f"{100 * offsets[:, 0].max():.1f}",
             largest_b_cm=f"{100 * offsets[:, 1].max():.1f}",
@@ -136,13 +123,15 @@ class VirtualFault(Fault):
             disarm_s=f"{commands.disarm_seconds:.2f}",
             uncaught_exception=error or "no",
             bag=bag,
-            perfect_information=BALANCED if perfect else "rod lost",
-            exact_with_same_gaps="" if gaps is None else BALANCED if gaps else "rod lost",
-            verdict=judge(safe, balanced, tilt_of(stopped) < LEVEL, perfect, gaps, self.demanded),
+            perfect_information=verdict.BALANCED if perfect else "rod lost",
+            exact_with_same_gaps="" if gaps is None else verdict.BALANCED if gaps else "rod lost",
+            verdict=verdict.judge(
+                safe, balanced, verdict.tilt_of(stopped) < verdict.LEVEL, perfect, gaps, self.demanded
+            ),
         )
 
 
-class FaultyLink:
+class FaultyLink(VirtualLink):
     """The simulated vehicle behind damaged poses, with the sender's rules in virtual time on the way out.
 
     Attributes:
@@ -150,12 +139,9 @@ class FaultyLink:
         truths: (time in ns, true state (11,)) at each frame.
     """
 
-    origin = "simulated"
-    pids: ClassVar[dict[str, int]] = {}
-
     def __init__(self, scenario: Scenario, frames: FrameFault | None, deaf: tuple[float, float]) -> None:
-        self._link, self._fault, self._deaf = VirtualLink(scenario), frames, deaf
-        self._rate, self._period = scenario.params.piloting.mocap_rate, NANO / LIMITS.safety.send_rate
+        super().__init__(scenario)
+        self._damage, self._deaf, self._period = frames, deaf, NANO / LIMITS.safety.send_rate
         self._arrived: deque[Measurement] = deque()
         self._man, self._due = DeadMan(scenario.params, LIMITS), math.inf
         self.sent: list[tuple[int, Setpoint]] = []
@@ -164,31 +150,15 @@ class FaultyLink:
     @property
     def at(self) -> float:
         """s since take-off; -1 before."""
-        flown = self._link.vehicle.flown
-        return -1.0 if flown is None else flown / self._rate
+        return -1.0 if self.vehicle.flown is None else self.vehicle.flown / self.vehicle.rate
 
     @property
-    def truth(self) -> NDArray | None:
-        return self._link.truth
-
-    @property
-    def events(self) -> deque[Event]:
-        return self._link.events
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        pass
-
-    def now(self) -> int:
-        return self._link.now()
-
-    def wait(self) -> None:
-        pass
+    def kept_back(self) -> int:
+        """Setpoints that the sender refused or cut to bounds: the failsafe must never make one."""
+        return self._man.rejected + self._man.clamped
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        left = math.ceil(timeout * self._rate - 1e-6)
+        left = math.ceil(timeout * self.vehicle.rate - 1e-6)
         while not self._arrived:
             if left == 0:
                 return None
@@ -197,8 +167,8 @@ class FaultyLink:
         return self.now(), self._arrived.popleft()
 
     def elapse(self, seconds: float) -> None:
-        """Time passes while the pilot is busy: frames queue, the sender goes on."""
-        for _ in range(round(seconds * self._rate)):
+        """Let time pass while the pilot is busy: frames queue, the sender goes on."""
+        for _ in range(round(seconds * self.vehicle.rate)):
             self._frame()
 
     def send(self, setpoint: Setpoint) -> None:
@@ -211,21 +181,14 @@ class FaultyLink:
 
     def leave(self) -> None:
         """End as ``sender.Sender.close`` does."""
-        end = self.now() + round(LIMITS.safety.leave_time * NANO)
         self._man.hear(self.now(), disarmed(self.now()))
-        while self.now() < end:
-            self._frame()
-
-    @property
-    def kept_back(self) -> int:
-        """Setpoints that the sender refused or cut to bounds: the failsafe must never make one."""
-        return self._man.rejected + self._man.clamped
+        self.elapse(LIMITS.safety.leave_time)
 
     def _frame(self) -> None:
-        came = self._link.receive(0.0)
+        came = super().receive(0.0)
         assert came is not None and self.truth is not None
         self.truths.append((self.now(), self.truth))
-        self._arrived.extend(self._fault(self.at, came[1]) if self._fault and self.at >= 0.0 else [came[1]])
+        self._arrived.extend(self._damage(self.at, came[1]) if self._damage and self.at >= 0.0 else [came[1]])
         if self.now() >= self._due:
             self._due += round(self._period)
             self._out()
@@ -234,7 +197,7 @@ class FaultyLink:
         setpoint = self._man.due(self.now())
         self.sent.append((self.now(), setpoint))
         if not self._deaf[0] <= self.at < self._deaf[1]:
-            self._link.send(setpoint)
+            super().send(setpoint)
 
 
 class FaultyPilot(Pilot):
@@ -392,7 +355,7 @@ VIRTUAL_FAULTS = {
     "solver-late": _solver("takes 12.5 ms, for 60 solves", inject.taking(0.0125), 60),
     "solver-slow": _solver("takes 80 ms, once", inject.taking(0.08)),
     "solver-hangs-250ms": _solver("hangs for 250 ms", inject.taking(0.25), blind=(START, START + 0.25)),
-    "solver-hangs": _solver("hangs for 2 s", inject.taking(2.0), blind=(START, START + 2.0), demanded=PULSE),
+    "solver-hangs": _solver("hangs for 2 s", inject.taking(2.0), blind=(START, START + 2.0), demanded=verdict.PULSE),
     "estimate-silent": _estimates("no estimate from then on", lambda answer, count: None),
     "estimate-nan": _estimates("estimates of NaN", inject.estimated(math.nan)),
     "estimate-absurd": _estimates("estimates of -1, 0 and 1000 m", inject.estimated(-1.0, 0.0, 1e3)),
@@ -408,8 +371,8 @@ VIRTUAL_FAULTS = {
     "deaf-100ms": _deaf("no command gets through for 100 ms, pushed meanwhile", 0.1, PUSHED),
     "deaf-300ms": _deaf("no command gets through for 300 ms", 0.3),
     "deaf-1s": _deaf("no command gets through for 1 s", 1.0),
-    "abort": VirtualFault("operator", "abort", aborts=(START,), demanded=OPERATOR),
-    "abort-circle": VirtualFault("operator", "abort on the circle", CIRCLE, aborts=(START,), demanded=OPERATOR),
+    "abort": VirtualFault("operator", "abort", aborts=(START,), demanded=verdict.OPERATOR),
+    "abort-circle": VirtualFault("operator", "abort on the circle", CIRCLE, aborts=(START,), demanded=verdict.OPERATOR),
     "push-far": VirtualFault("vehicle", "push of 60 mN s, beyond saving",
                              replace(HOVER, pushes=(Push(START, (0.06, 0.0)),))),
     "push-strong": VirtualFault("vehicle", "push of 15 mN s", replace(HOVER, pushes=(Push(START, (0.015, 0.0)),))),
