@@ -16,8 +16,7 @@ import argparse
 import contextlib
 import dataclasses
 import math
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +37,7 @@ from fiplib.flight.loop import FlightLoop
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
 from fiplib.params import NANO, Params, assignment
 from fiplib.pilot import Hover, Pilot
-from fiplib.recording import Measurement, MemoryRecorder, Recorder
+from fiplib.recording import Measurement, MemoryRecorder
 from fiplib.simulate import Scenario, SimulatedEstimator
 from fiplib.studies.estimators import summarise
 
@@ -49,7 +48,6 @@ SETTLED = 0.01
 AXES = ("roll", "pitch", "yaw")
 STEP_TIME = 0.25
 """How long a step of the body rate is held, s."""
-FIRMWARE = "Betaflight 4.6.0 SITL"
 
 
 # --- flights behind the failsafe
@@ -76,13 +74,22 @@ class ObservedLink(VirtualLink):
         super().send(setpoint)
 
 
-class Flown(NamedTuple):
-    """A flight as seen from outside, from where the vehicle flies by itself.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Flown:
+    """A flight behind the failsafe in virtual time, as seen from outside from where the vehicle flies by itself.
 
-    ``time`` (n,) s, ``truth`` (n, 11) as ``recording.ROLES["truth_state"]``; ``rates`` and ``commands`` (n, 3) rad/s,
-    at the rate of motion capture, and each command at the frame from which on it was sent.
+    Attributes:
+        scenario, metadata: of the flight.
+        tape: what was recorded.
+        duration: s; ``balanced``: whether the rod was up to the end; ``ended``: why the flight ended.
+        time: (n,) s, at the rate of motion capture.
+        truth: (n, 11) as ``recording.ROLES["truth_state"]``.
+        rates, commands: (n, 3) rad/s, each command at the frame from which on it was sent.
     """
 
+    scenario: Scenario
+    metadata: dict[str, Any]
+    tape: MemoryRecorder
     duration: float
     balanced: bool
     ended: str
@@ -91,64 +98,73 @@ class Flown(NamedTuple):
     rates: NDArray
     commands: NDArray
 
+    @property
+    def within(self) -> NDArray:
+        """Which frames belong to the scenario: what follows is the descent without the rod."""
+        return self.time < min(self.scenario.duration, self.duration) - 1.0
 
-def flown(scenario: Scenario, limits: Limits, link: ObservedLink, recorder: Recorder) -> Flown:
-    """One flight behind the failsafe, in virtual time."""
+    @property
+    def lean(self) -> NDArray:
+        """Offsets of the rod's COM, m, within the scenario."""
+        return np.hypot(self.truth[:, 4], self.truth[:, 6])[self.within]
+
+    @property
+    def height_error(self) -> str:
+        """The rms error of the height within the scenario, mm."""
+        return f"{1e3 * rms(self.truth[self.within, 10] - self.scenario.reference.height):.1f}"
+
+    def after_push(self, start: float, stop: float) -> tuple[float, float, float]:
+        """Largest lean, largest distance from the reference (m), and time in s until the lean stays below ``SETTLED``."""
+        rows = (self.time >= start) & (self.time < stop) & self.within
+        if not rows.any():
+            return math.nan, math.nan, math.inf
+        time, truth = self.time[rows] - start, self.truth[rows]
+        leaning = np.hypot(truth[:, 4], truth[:, 6])
+        away = truth[:, [0, 2]] - self.scenario.reference.at(self.time[rows])[:, [0, 2]]
+        over = np.flatnonzero(leaning > SETTLED)
+        settled = math.inf if len(over) and over[-1] == len(time) - 1 else float(time[over[-1]]) if len(over) else 0.0
+        return float(leaning.max()), float(np.hypot(*away.T).max()), settled
+
+    def response(self, axis: int) -> model.Response:
+        """The delay and lag that best turn the rates commanded in flight into those flown, from the sending on."""
+        rows, params = self.within, self.scenario.params
+        best = model.fit(self.commands[rows, axis], self.rates[rows, axis], 1.0 / params.piloting.mocap_rate)
+        # commands are noted at the exposure they were computed from
+        return best._replace(delay=best.delay - params.simulation.mocap_latency)
+
+    def refitted(self) -> str:
+        """What the recommended estimator, given the model's delay and lag, makes of the flight, in a sentence."""
+        flight = self.tape.flight(self.scenario.name, self.metadata)
+        seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(self.scenario.duration * NANO)
+        if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):
+            return f"too short to estimate the length: it takes {seconds:g} s"
+        answers = [maximum_likelihood(window, flight.params) for window in windows]
+        found = summarise(answers, flight.params.pendulum.length)
+        return (
+            f"length by maximum likelihood: {found['n']} of {len(answers)} windows of {seconds:g} s answered, "
+            f"bias {1e3 * found['bias']:.1f} mm, RMS error {1e3 * found['rms']:.1f} mm, "
+            f"{found['covered']} of their 95 % intervals cover the rod"
+        )
+
+
+def flown(scenario: Scenario, limits: Limits, link: ObservedLink, bag: Path | None = None, **metadata: Any) -> Flown:
+    """Fly a scenario behind the failsafe, and record it into a bag, with more ``metadata``, if asked for."""
+    metadata = {**scenario.metadata(), **metadata, "params": recorded(scenario.params, limits)}
     guard = Guard(Pilot(scenario.params, scenario.reference), limits)
     estimator = SimulatedEstimator(scenario.params, scenario.seed)
-    loop = FlightLoop(scenario, link, guard, recorder, estimator)
-    loop.run()
+    with contextlib.ExitStack() as stack:
+        tape = MemoryRecorder(stack.enter_context(bags.BagRecorder(bag, metadata)) if bag else None)
+        loop = FlightLoop(scenario, link, guard, tape, estimator)
+        loop.run()
     rows = np.array(link.rows).reshape(-1, 17)
     time = np.arange(len(rows)) / scenario.params.piloting.mocap_rate
-    return Flown(loop.duration, loop.balanced, guard.ended or "", time, rows[:, :11], rows[:, 11:14], rows[:, 14:])
-
-
-def record(scenario: Scenario, limits: Limits, link: ObservedLink, output: Path | None, **metadata: Any) -> Flown:
-    """As ``flown``, into a bag with more ``metadata`` if asked for."""
-    if output is None:
-        return flown(scenario, limits, link, MemoryRecorder())
-    metadata = {**scenario.metadata(), **metadata, "params": recorded(scenario.params, limits)}
-    with bags.BagRecorder(output, metadata) as recorder:
-        return flown(scenario, limits, link, recorder)
-
-
-def within(flight: Flown, scenario: Scenario) -> NDArray:
-    """Which frames belong to the scenario: what follows is the descent without the rod."""
-    return flight.time < min(scenario.duration, flight.duration) - 1.0
-
-
-def lean(flight: Flown, scenario: Scenario) -> NDArray:
-    return np.hypot(flight.truth[:, 4], flight.truth[:, 6])[within(flight, scenario)]
-
-
-def height(flight: Flown, scenario: Scenario) -> str:
-    return f"{1e3 * rms(flight.truth[within(flight, scenario), 10] - scenario.reference.height):.1f}"
+    seen = (time, rows[:, :11], rows[:, 11:14], rows[:, 14:])
+    return Flown(scenario, metadata, tape, loop.duration, loop.balanced, guard.ended or "", *seen)
 
 
 def rms(values: NDArray) -> float:
+    """Return the root mean square of values; nan of none."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
-
-
-def after_push(flight: Flown, scenario: Scenario, start: float, stop: float) -> tuple[float, float, float]:
-    """Largest lean, largest distance from the reference (m), and time in s until the lean stays below ``SETTLED``."""
-    rows = (flight.time >= start) & (flight.time < stop) & within(flight, scenario)
-    if not rows.any():
-        return math.nan, math.nan, math.inf
-    time, truth = flight.time[rows] - start, flight.truth[rows]
-    leaning = np.hypot(truth[:, 4], truth[:, 6])
-    away = truth[:, [0, 2]] - scenario.reference.at(flight.time[rows])[:, [0, 2]]
-    over = np.flatnonzero(leaning > SETTLED)
-    settled = math.inf if len(over) and over[-1] == len(time) - 1 else float(time[over[-1]]) if len(over) else 0.0
-    return float(leaning.max()), float(np.hypot(*away.T).max()), settled
-
-
-def in_flight(flight: Flown, scenario: Scenario, axis: int) -> model.Response:
-    """The delay and lag that best turn the rates commanded in flight into those flown, from the sending on."""
-    rows, simulation = within(flight, scenario), scenario.params.simulation
-    period = 1.0 / scenario.params.piloting.mocap_rate
-    best = model.fit(flight.commands[rows, axis], flight.rates[rows, axis], period)
-    # commands are noted at the exposure they were computed from
-    return best._replace(delay=best.delay - simulation.mocap_latency)
 
 
 # --- step responses
@@ -232,26 +248,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     outputs = {"step": "CSV file of the curves", "push": "folder for the bags", "fly": "bag"}
     for name, words in described.items():
         adding = commands.add_parser(name, help=words, description=words)
-        add = adding.add_argument
-        add(
-            "--set", action="append", default=[], metavar="GROUP.NAME=VALUE", help="change a parameter, as fip fly does"
-        )
+        add, many = adding.add_argument, {"action": "append", "default": []}
+        add("--set", **many, metavar="GROUP.NAME=VALUE", help="change a parameter, as fip fly does")
         if name == "settings":
             continue
-        add("--cli", action="append", default=[], metavar="LINE", help="another line for Betaflight's command line")
-        add(
-            "--airframe",
-            action="append",
-            default=[],
-            metavar="NAME=VALUE",
-            help="change the modelled vehicle, e.g. motor_lag=0.02 or inertia=1e-3,1e-3,2e-3; see "
-            "fiplib/flight/betaflight/airframe.py",
-        )
+        add("--cli", **many, metavar="LINE", help="another line for Betaflight's command line")
+        vehicle = "change the modelled vehicle, e.g. motor_lag=0.02 or inertia=1e-3,1e-3,2e-3; see airframe.py"
+        add("--airframe", **many, metavar="NAME=VALUE", help=vehicle)
         add("--output", type=Path, metavar="PATH", help=f"{outputs[name]} to write (default: none)")
         if name == "step":
-            add(
-                "--sizes", type=float, nargs="+", default=[10.0, 30.0, 90.0], metavar="DEG/S", help="sizes of the steps"
-            )
+            sizes = [10.0, 30.0, 90.0]
+            add("--sizes", type=float, nargs="+", default=sizes, metavar="DEG/S", help="sizes of the steps")
         else:
             add("--seed", type=int, help="seed of the sensors' noise (default: the scenario's)")
         if name == "fly":
@@ -355,52 +362,30 @@ def fly(options: argparse.Namespace) -> int:
     if options.duration is not None and not 0.0 < options.duration < math.inf:
         raise ValueError(f"--duration {options.duration:g}: give seconds > 0")
     scenario, limits = scenario_of(options.scenario or "push-hover", options.set, options.seed)
-    duration = scenario.duration
     if options.scenario is None:
-        duration, hover = 20.0, Hover()
-        scenario = dataclasses.replace(
-            scenario, name="firmware-hover", description="Hover at (0, 0, 1.3) m", pushes=(), reference=hover
-        )
-    scenario = dataclasses.replace(scenario, duration=options.duration or duration)
-    with tempfile.TemporaryDirectory() as folder:
-        bag = options.output or Path(folder) / scenario.name
-        with betaflight(options, scenario.params, limits) as (inner, airframe):
-            vehicle = sitl.MotorVehicle(scenario, limits, inner, airframe)
-            flight = record_firmware(scenario, limits, vehicle, airframe, bag)
-            stopped = vehicle.stopped()
-        length = refitted(bag, scenario.duration) if len(flight.time) else ""
+        hover = {"name": "firmware-hover", "description": "Hover at (0, 0, 1.3) m", "reference": Hover()}
+        scenario = dataclasses.replace(scenario, **hover, pushes=(), duration=20.0)
+    scenario = dataclasses.replace(scenario, duration=options.duration or scenario.duration)
+    with betaflight(options, scenario.params, limits) as (inner, airframe):
+        flight, stopped = flown_on_firmware(scenario, limits, inner, airframe, options.output)
     end = "rod still up" if flight.balanced else "NOT UP TO THE END"
     print(f"simulated, Betaflight 4.6.0 as inner loop: {flight.duration:.2f} s, {end} ({flight.ended})")
     if not len(flight.time):
         print("it was never let go: the motors did not carry the vehicle")
     else:
-        print(f"rms lean {1e3 * rms(lean(flight, scenario)):.1f} mm, rms error of height {height(flight, scenario)} mm")
-        print(length)
+        print(f"rms lean {1e3 * rms(flight.lean):.1f} mm, rms error of height {flight.height_error} mm")
+        print(flight.refitted())
     print(f"motors after the disarm frame: {'stopped' if stopped else 'STILL TURNING'}; {inner.exchanges} exchanges")
     return 0 if flight.balanced and stopped else 1
 
 
-def record_firmware(
-    scenario: Scenario, limits: Limits, vehicle: sitl.MotorVehicle, airframe: Airframe, output: Path | None
-) -> Flown:
-    """As ``record``, on Betaflight."""
-    more = {"inner_loop": FIRMWARE, "airframe": dataclasses.asdict(airframe)}
-    return record(scenario, limits, ObservedLink(scenario, vehicle), output, **more)
-
-
-def refitted(bag: Path, duration: float) -> str:
-    """What the recommended estimator makes of a flight, in a sentence: given the model's delay and lag."""
-    flight = bags.read(bag)
-    seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(duration * NANO)
-    if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):
-        return f"too short to estimate the length: it takes {seconds:g} s"
-    answers = [maximum_likelihood(window, flight.params) for window in windows]
-    found = summarise(answers, flight.params.pendulum.length)
-    return (
-        f"length by maximum likelihood: {found['n']} of {len(answers)} windows of {seconds:g} s answered, "
-        f"bias {1e3 * found['bias']:.1f} mm, RMS error {1e3 * found['rms']:.1f} mm, "
-        f"{found['covered']} of their 95 % intervals cover the rod"
-    )
+def flown_on_firmware(
+    scenario: Scenario, limits: Limits, inner: InnerLoop, airframe: Airframe, bag: Path | None
+) -> tuple[Flown, bool]:
+    """As ``flown``, on Betaflight; and whether the motors stop after the flight."""
+    vehicle = sitl.MotorVehicle(scenario, limits, inner, airframe)
+    more = {"inner_loop": "Betaflight 4.6.0 SITL", "airframe": dataclasses.asdict(airframe)}
+    return flown(scenario, limits, ObservedLink(scenario, vehicle), bag, **more), vehicle.stopped()
 
 
 def push(options: argparse.Namespace) -> int:
@@ -409,37 +394,33 @@ def push(options: argparse.Namespace) -> int:
     if output is not None and output.exists():
         raise bags.BagError(f"{output} exists already; name another folder, or remove it")
     with betaflight(options, scenario.params, limits) as (inner, airframe):
-        vehicle = sitl.MotorVehicle(scenario, limits, inner, airframe)
-        flights = {"Betaflight": record_firmware(scenario, limits, vehicle, airframe, output and output / "firmware")}
-    link = ObservedLink(scenario)
-    flights["delay+lag"] = record(
-        scenario, limits, link, output and output / "delay-and-lag", inner_loop="delay and lag"
-    )
+        real, _ = flown_on_firmware(scenario, limits, inner, airframe, output and output / "firmware")
+    bag = output and output / "delay-and-lag"
+    flights = [real, flown(scenario, limits, ObservedLink(scenario), bag, inner_loop="delay and lag")]
+
+    def row(name: str, values: Iterable[object], form: str = "") -> None:
+        print(f"{name:36}" + "".join(f"{value:{form}}".rjust(12) for value in values))
+
     print(f"{scenario.description}. Simulated, behind the failsafe, on both inner loops.")
-    print(f"{'':36}" + "".join(f"{name:>12}" for name in flights))
-    table: list[tuple[str, list[str]]] = [
-        ("rod up to the end", ["yes" if flight.balanced else "NO" for flight in flights.values()])
-    ]
-    for index, one in enumerate(scenario.pushes):
-        stop = scenario.pushes[index + 1].start if index + 1 < len(scenario.pushes) else scenario.duration
-        shapes = [after_push(flight, scenario, one.start, stop) for flight in flights.values()]
+    row("", ["Betaflight", "delay+lag"])
+    row("rod up to the end", ["yes" if flight.balanced else "NO" for flight in flights])
+    for one, stop in zip(
+        scenario.pushes, [*(one.start for one in scenario.pushes[1:]), scenario.duration], strict=True
+    ):
+        lean, distance, settled = zip(*(flight.after_push(one.start, stop) for flight in flights), strict=True)
         size = f"{1e3 * math.hypot(*one.impulse):.1f} mN s at {one.start:g} s"
-        for column, (what, unit) in enumerate((("lean", "mm"), ("distance", "mm"), ("settled in", "s"))):
-            scale = 1e3 if unit == "mm" else 1.0
-            values = [f"{scale * shape[column]:.{0 if unit == 'mm' else 2}f}" for shape in shapes]
-            table.append((f"{size}: {what}, {unit}", values))
-    calm = [lean(f, scenario)[: round(scenario.pushes[0].start * 240)] for f in flights.values()]
-    table.append(("lean before the pushes, rms mm", [f"{1e3 * rms(values):.1f}" for values in calm]))
-    table.append(("error of height, rms mm", [height(flight, scenario) for flight in flights.values()]))
-    for axis in (0, 1):
-        best = [in_flight(flight, scenario, axis) for flight in flights.values()]
-        name = AXES[axis]
-        table.append((f"{name} rate: best delay, ms", [f"{1e3 * response.delay:.1f}" for response in best]))
-        table.append((f"{name} rate: best lag, ms", [f"{1e3 * response.lag:.1f}" for response in best]))
-        table.append((f"{name} rate: gain", [f"{response.gain:.2f}" for response in best]))
-        table.append((f"{name} rate: misfit, rms deg/s", [f"{math.degrees(r.residual):.1f}" for r in best]))
-    for name, values in table:
-        print(f"{name:36}" + "".join(f"{value:>12}" for value in values))
+        row(f"{size}: lean, mm", [1e3 * value for value in lean], ".0f")
+        row(f"{size}: distance, mm", [1e3 * value for value in distance], ".0f")
+        row(f"{size}: settled in, s", settled, ".2f")
+    calm = round(scenario.pushes[0].start * 240)
+    row("lean before the pushes, rms mm", [1e3 * rms(flight.lean[:calm]) for flight in flights], ".1f")
+    row("error of height, rms mm", [flight.height_error for flight in flights])
+    for axis, name in enumerate(AXES[:2]):
+        best = [flight.response(axis) for flight in flights]
+        row(f"{name} rate: best delay, ms", [1e3 * response.delay for response in best], ".1f")
+        row(f"{name} rate: best lag, ms", [1e3 * response.lag for response in best], ".1f")
+        row(f"{name} rate: gain", [response.gain for response in best], ".2f")
+        row(f"{name} rate: misfit, rms deg/s", [math.degrees(response.residual) for response in best], ".1f")
     if output is not None:
         print(f"wrote {output}/firmware and {output}/delay-and-lag")
-    return 0 if all(flight.balanced for flight in flights.values()) else 1
+    return 0 if all(flight.balanced for flight in flights) else 1

@@ -45,7 +45,6 @@ from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.params import GRAVITY, Params
 from fiplib.pilot import Hover
-from fiplib.recording import MemoryRecorder
 from fiplib.simulate import SCENARIOS
 from fiplib.studies import betaflight as study
 
@@ -278,10 +277,9 @@ def test_the_rod_stays_up_over_a_plain_rate_loop_through_failsafe_and_radio():
     scenario = dataclasses.replace(SCENARIOS["push-hover"], params=PARAMS, duration=8.0)
     # without a derivative the loop needs quick motors to be as fast as Betaflight's
     vehicle = sitl.MotorVehicle(scenario, LIMITS, Plain(PARAMS), dataclasses.replace(AIRFRAME, motor_lag=5e-3))
-    tape = MemoryRecorder()
-    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario, vehicle), tape)
-    assert [event.data["impulse"] for event in tape.events if event.kind == "push"] == [[0.008, 0.0]]
-    assert flight.balanced and flight.ended == "landed", tape.events
+    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario, vehicle))
+    assert [event.data["impulse"] for event in flight.tape.events if event.kind == "push"] == [[0.008, 0.0]]
+    assert flight.balanced and flight.ended == "landed", flight.tape.events
     # the push of 8 mN s at 5.3 s leans the rod by 5 cm on the delay-plus-lag loop
     lean = np.hypot(flight.truth[:, 4], flight.truth[:, 6])[flight.time < 7.0]
     assert lean[flight.time[: len(lean)] < 5.3].max() < 0.02 and 0.03 < lean.max() < 0.1
@@ -318,9 +316,9 @@ def test_delay_lag_and_gain_are_found_again(delay, lag, gain):
 
 def test_on_the_delay_and_lag_loop_a_flight_shows_just_these():
     scenario = dataclasses.replace(SCENARIOS["push-hover"], duration=7.0)
-    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario), MemoryRecorder())
+    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario))
     for axis in (0, 1):
-        found = study.in_flight(flight, scenario, axis)
+        found = flight.response(axis)
         # the plant rounds the delay to substeps of 1/960 s: half of it is 0.5 ms
         assert found.delay == pytest.approx(scenario.params.simulation.rate_delay, abs=6e-4)
         assert found.lag == pytest.approx(scenario.params.simulation.rate_lag, abs=6e-4)
@@ -508,7 +506,7 @@ def test_a_firmware_that_dies_or_refuses_a_setting_is_reported_in_one_line(built
     ):
         link = study.ObservedLink(scenario, sitl.MotorVehicle(scenario, LIMITS, inner, AIRFRAME))
         inner.process.kill()
-        study.flown(scenario, LIMITS, link, MemoryRecorder())
+        study.flown(scenario, LIMITS, link)
     with pytest.raises(sitl.FirmwareError, match="Betaflight refuses 'set nonsense = 1'"):
         asked("fly", "--cli", "set nonsense = 1")
 

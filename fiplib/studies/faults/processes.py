@@ -77,10 +77,10 @@ class ProcessFault(Fault):
                 small_disk(place, self.disk)
                 stack.callback(subprocess.run, ["umount", "--lazy", str(place)], check=False)
             arguments = ["--real-time", "--output", str(place / "bag"), *self.arguments]
-            command = [sys.executable, "-m", __name__, str(witness.port), *arguments]
+            flight = [sys.executable, "-m", __name__, str(witness.port), *arguments]
             with open(Path(folder) / "words", "w+") as words:
                 # a session of its own: signals of the terminal are not meant for it
-                process = subprocess.Popen(command, stdout=words, stderr=words, start_new_session=True)
+                process = subprocess.Popen(flight, stdout=words, stderr=words, start_new_session=True)
                 try:
                     began = took_off(witness, process)
                     while (time.monotonic_ns() - began) / NANO < HIT:
