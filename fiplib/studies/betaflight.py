@@ -114,7 +114,7 @@ class Flown:
         return f"{1e3 * rms(self.truth[self.within, 10] - self.scenario.reference.height):.1f}"
 
     def after_push(self, start: float, stop: float) -> tuple[float, float, float]:
-        """Largest lean, largest distance from the reference (m), and time in s until the lean stays below ``SETTLED``."""
+        """Largest lean and distance from the reference, m, and time in s until the lean stays below ``SETTLED``."""
         rows = (self.time >= start) & (self.time < stop) & self.within
         if not rows.any():
             return math.nan, math.nan, math.inf
