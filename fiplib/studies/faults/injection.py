@@ -22,7 +22,8 @@ FrameFault = Callable[[float, Measurement], list[Measurement]]
 Change = Callable[[Measurement], Measurement]
 """What becomes of one frame."""
 Solve = Callable[[Tick], Solution]
-SolverFault = Callable[[Solve, Tick, Callable[[float], None]], Solution]
+Elapse = Callable[[float], None]
+SolverFault = Callable[[Solve, Tick, Elapse], Solution]
 """(the solver, the tick, lets so many s pass) -> what is answered instead."""
 EstimateFault = Callable[[Estimate, int], Estimate | None]
 """(an estimate, how many have been changed, with this one) -> what is delivered instead."""
@@ -169,17 +170,17 @@ def coarse(seconds: float) -> Change:
     return lambda frame: frame._replace(stamp=frame.stamp // round(seconds * NANO) * round(seconds * NANO))
 
 
-def raising(solve: Solve, tick: Tick, elapse: Callable[[float], None]) -> Solution:
+def raising(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
     """A solver that raises."""
     raise RuntimeError("singular matrix")
 
 
-def unsolved(solve: Solve, tick: Tick, elapse: Callable[[float], None]) -> Solution:
+def unsolved(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
     """A solver that does not converge."""
     return replace(solve(tick), status=Status.FAILED)
 
 
-def numberless(solve: Solve, tick: Tick, elapse: Callable[[float], None]) -> Solution:
+def numberless(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
     """A solver that answers NaN."""
     solution = solve(tick)
     return replace(solution, inputs=solution.inputs * math.nan)
@@ -188,7 +189,7 @@ def numberless(solve: Solve, tick: Tick, elapse: Callable[[float], None]) -> Sol
 def taking(seconds: float) -> SolverFault:
     """A solver that takes so long."""
 
-    def slow(solve: Solve, tick: Tick, elapse: Callable[[float], None]) -> Solution:
+    def slow(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
         solution = solve(tick)
         elapse(seconds)
         return solution
