@@ -77,7 +77,9 @@ class Safety:
 class Radio:
     """A CRSF transmitter module and the Betaflight behind it. Not tried on hardware; docs/radio.md."""
 
-    baud: int = quantity(921600, "bit/s", "our choice among those that ExpressLRS modules listen at (crsf_frames.BAUDS)")
+    baud: int = quantity(
+        921600, "bit/s", "our choice among those that ExpressLRS modules listen at (crsf_frames.BAUDS)"
+    )
     channels: str = quantity(
         "AETR", "-", "Betaflight's default map: channels 1 to 4 are roll (A), pitch (E), throttle (T), yaw (R)"
     )

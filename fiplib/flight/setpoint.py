@@ -66,32 +66,6 @@ def weight(params: Params) -> float:
     return (params.vehicle.mass + params.pendulum.mass) * GRAVITY
 
 
-class Transition(NamedTuple):
-    """From one mode to another at ``stamp`` ns, and why."""
-
-    stamp: int
-    before: Mode
-    after: Mode
-    reason: str
-
-    @property
-    def level(self) -> str:
-        """Severity in a bag, a key of ``recorder.LEVELS``."""
-        return {Mode.COASTING: "warn", Mode.HOVER_ONLY: "error", Mode.LEVEL: "error"}.get(self.after, "info")
-
-    @property
-    def text(self) -> str:
-        return f"failsafe: {self.before.value} -> {self.after.value}: {self.reason}"
-
-
-class Note(NamedTuple):
-    """A remark for the bag that changes no mode; ``level`` is a key of ``recording.LEVELS``."""
-
-    stamp: int
-    level: str
-    text: str
-
-
 class TiltPredictor:
     """Predicts roll and pitch: the measured ones, plus the integral of the body rates commanded since then.
 

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from fiplib import bags, replay
 from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits
+from fiplib.flight.links.simulated import VirtualLink
 from fiplib.flight.setpoint import Mode, Setpoint, TiltPredictor, disarmed
 from fiplib.mpc import Status
 from fiplib.params import NANO, Params
@@ -20,10 +22,9 @@ from fiplib.recording import EPOCH, Measurement
 from fiplib.simulate import SCENARIOS
 
 ROOT = Path(__file__).parents[2]
-from fiplib.flight.links.simulated import VirtualLink  # noqa: E402
 
 PARAMS = Params()
-SAFETY = PARAMS.safety
+SAFETY = Limits().safety
 FRAME, TICK = round(NANO / 240), round(NANO / 120)
 LATENCY = round(PARAMS.simulation.mocap_latency * NANO)
 
@@ -79,13 +80,13 @@ def check_setpoint(setpoint: Setpoint, params: Params = PARAMS) -> None:
     numbers = np.array((*setpoint.body_rate, setpoint.thrust, *setpoint.tilt))
     assert numbers.shape == (6,) and np.isfinite(numbers).all()
     assert np.abs(setpoint.body_rate).max() <= params.vehicle.max_body_rate
-    assert 0.0 <= setpoint.thrust <= params.safety.max_thrust
+    assert 0.0 <= setpoint.thrust <= SAFETY.max_thrust
     if not setpoint.armed:
         assert not setpoint.body_rate.any() and setpoint.thrust == 0.0
 
 
 def flying(params: Params = PARAMS) -> tuple[Guard, Stream]:
-    guard = Guard(params, Hover())
+    guard = Guard(Pilot(params, Hover()))
     stream = Stream(guard)
     guard.arm(stream.now)
     stream.feed(1.0)
@@ -102,7 +103,7 @@ def path(guard: Guard) -> list[tuple[Mode, Mode]]:
 
 
 def test_motors_stay_off_until_the_checks_have_passed_and_the_operator_has_armed():
-    guard = Guard(PARAMS, Hover())
+    guard = Guard(Pilot(PARAMS, Hover()))
     stream = Stream(guard)
     stream.feed(SAFETY.arm_time - 0.01)
     assert guard.mode is Mode.DISARMED and guard.waiting == "arm checks under way"
@@ -135,7 +136,7 @@ def swapped(frame: Measurement) -> Measurement:
     ],
 )
 def test_what_is_not_fit_to_fly_is_not_armed_and_says_why(change, pose, why):
-    guard = Guard(PARAMS, Hover())
+    guard = Guard(Pilot(PARAMS, Hover()))
     stream = Stream(guard)
     guard.arm(stream.now)
     stream.feed(1.0, change, **pose)
@@ -146,7 +147,7 @@ def test_what_is_not_fit_to_fly_is_not_armed_and_says_why(change, pose, why):
 
 
 def test_a_moving_vehicle_and_one_with_few_poses_are_not_armed():
-    guard = Guard(PARAMS, Hover())
+    guard = Guard(Pilot(PARAMS, Hover()))
     stream = Stream(guard)
     guard.arm(stream.now)
     start = stream.now
@@ -166,7 +167,7 @@ def test_a_moving_vehicle_and_one_with_few_poses_are_not_armed():
 
 
 def test_a_ready_vehicle_is_not_ready_any_more_when_its_poses_stop():
-    guard = Guard(PARAMS, Hover())
+    guard = Guard(Pilot(PARAMS, Hover()))
     stream = Stream(guard)
     stream.feed(1.0)
     assert guard.mode is Mode.READY
@@ -397,7 +398,7 @@ def test_an_operators_abort_levels_and_a_second_disarms():
     last = guard.abort(stream.now, "motors off", disarm=True)
     assert not last.armed and guard.ended == "motors off"
     assert [entry.reason for entry in guard.transitions[2:]] == ["operator abort", "motors off"]
-    waiting = Guard(PARAMS, Hover())
+    waiting = Guard(Pilot(PARAMS, Hover()))
     assert not waiting.abort(EPOCH, "operator abort").armed and waiting.ended == "operator abort"
 
 
@@ -469,7 +470,7 @@ def test_fixed_gains_are_the_first_input_of_the_optimal_plan():
     pilot.receive_estimate(0.8)
     rng = np.random.default_rng(4)
     for _ in range(20):
-        tick = Pilot(PARAMS, Hover()).observe(0, Stream(Guard(PARAMS, Hover())).pose())
+        tick = Pilot(PARAMS, Hover()).observe(0, Stream(Guard(Pilot(PARAMS, Hover()))).pose())
         tick = tick._replace(state=rng.normal(size=10) * 3e-3)
         # equal to rounding of sums over 60 nodes
         np.testing.assert_allclose(pilot.hold(tick, np.zeros(10)), pilot.solve(tick).input, atol=1e-9)
@@ -587,7 +588,7 @@ def test_arbitrary_numbers_as_frames_never_arm_nor_raise(frames):
     assert guard.mode is Mode.DISARMED
 
 
-GROUNDED = Guard(PARAMS, Hover())
+GROUNDED = Guard(Pilot(PARAMS, Hover()))
 
 
 # --- in closed loop, in simulated flights
@@ -605,7 +606,7 @@ def test_the_tilt_is_predicted_from_the_commands_that_poses_do_not_show_yet():
 @pytest.mark.parametrize("name", sorted(SCENARIOS))
 def test_on_the_recorded_flights_the_guard_commands_what_the_pilot_did_bit_for_bit(name):
     flight = bags.read(ROOT / "data" / name)
-    guard = Guard(flight.params, replay.reference(flight))
+    guard = Guard(Pilot(flight.params, replay.reference(flight)))
     frames = list(replay.measurements(flight))
     rng = np.random.default_rng(1)
     first_arrival, first = frames[0]
@@ -640,7 +641,7 @@ def flown(
 ) -> tuple[Guard, VirtualLink]:
     """A simulated hover behind the failsafe; ``faults`` says what becomes of each frame at a time in s."""
     scenario = SCENARIOS["push-hover"]
-    link, guard = VirtualLink(scenario), Guard(scenario.params, Hover())
+    link, guard = VirtualLink(scenario), Guard(Pilot(scenario.params, Hover()))
     guard.arm(link.now())
     began = None
     while guard.ended is None:
@@ -684,7 +685,7 @@ def test_outliers_of_half_a_metre_in_every_tenth_frame_are_flown_through():
 @pytest.mark.parametrize("name", ["push-hover", "circle-0.8"])
 def test_fixed_gains_keep_the_rod_up_while_the_solver_fails_for_a_second(name):
     scenario = SCENARIOS[name]
-    link, guard = VirtualLink(scenario), Guard(scenario.params, scenario.reference)
+    link, guard = VirtualLink(scenario), Guard(Pilot(scenario.params, scenario.reference))
     guard.arm(link.now())
     while (link.vehicle.flown or 0) < 240 * 9:
         now, frame = link.receive(1 / 120)
@@ -699,7 +700,7 @@ def test_fixed_gains_keep_the_rod_up_while_the_solver_fails_for_a_second(name):
 
 def test_an_aborted_flight_comes_down_level_and_slowly():
     scenario = SCENARIOS["circle-0.8"]
-    link, guard = VirtualLink(scenario), Guard(scenario.params, scenario.reference)
+    link, guard = VirtualLink(scenario), Guard(Pilot(scenario.params, scenario.reference))
     guard.arm(link.now())
     fastest = steepest = 0.0
     while guard.ended is None:

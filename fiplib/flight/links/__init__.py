@@ -1,7 +1,7 @@
 """Links: how poses come in and commands go out. One file per link, each with one class that follows ``Link``.
 
-A new link is one file with one class, and one line in ``available``. A link's module must import without the software that
-the link needs (rclpy, pyserial): it is asked for its options in any case, and imports the rest on entering.
+A new link is one file with one class, and one line in ``available``. A link's module must import without the software
+that the link needs (rclpy, pyserial): it is asked for its options in any case, and imports the rest on entering.
 """
 
 import argparse
@@ -74,6 +74,9 @@ class Link(PoseSource, Protocol):
     vehicle goes through a ``Sender``, whose process repeats the newest setpoint whatever happens here.
     """
 
+    name: str
+    """How the command line and the bag's metadata call it."""
+
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
         ...
@@ -81,6 +84,8 @@ class Link(PoseSource, Protocol):
 
 class LinkChoice(Protocol):
     """What the command line needs of a link's class."""
+
+    name: str
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
@@ -99,4 +104,4 @@ def available() -> dict[str, type[LinkChoice]]:
     from fiplib.flight.links.ros2 import Ros2Link
     from fiplib.flight.links.simulated import SimulatedLink
 
-    return {"sim": SimulatedLink, "ros2": Ros2Link, "crsf": CrsfLink}
+    return {link.name: link for link in (SimulatedLink, Ros2Link, CrsfLink)}

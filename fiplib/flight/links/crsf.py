@@ -55,6 +55,8 @@ class CrsfLink:
         mirror: is given each setpoint, too: a simulated vehicle that flies along.
     """
 
+    name = "crsf"
+
     def __init__(
         self,
         port: str,

@@ -346,6 +346,8 @@ class Ros2Poses:
 class Ros2Link:
     """Poses from ROS 2, commands to it; state and length are published beside them."""
 
+    name = "ros2"
+
     def __init__(self, poses: Ros2Poses, kind: str | None, topic: str, params: Params, limits: Limits) -> None:
         self.poses, self._kind, self._topic, self._params, self._limits = poses, kind, topic, params, limits
         self.origin, self.truth, self.events = poses.origin, poses.truth, poses.events

@@ -55,7 +55,7 @@ class VirtualLink:
         vehicle: another vehicle than that of the scenario.
     """
 
-    origin = "simulated"
+    name, origin = "sim", "simulated"
 
     def __init__(self, scenario: Scenario, vehicle: HeldVehicle | None = None) -> None:
         self.vehicle = vehicle or HeldVehicle(scenario)
@@ -111,7 +111,7 @@ class SimulatedLink:
         offset: what the link's clock is ahead of ``time.monotonic_ns``, ns.
     """
 
-    origin = "simulated"
+    name, origin = "sim", "simulated"
 
     def __init__(
         self,
