@@ -34,7 +34,6 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
-from fiplib.flight.session import Session
 from numpy.typing import NDArray
 
 from fiplib.flight import command
@@ -43,6 +42,7 @@ from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import SimulatedLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.sender import START_TIME, ignore_the_terminal
+from fiplib.flight.session import Session
 from fiplib.flight.setpoint import Setpoint
 from fiplib.mpc import Solution
 from fiplib.params import NANO, FipError
