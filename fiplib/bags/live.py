@@ -119,9 +119,9 @@ class LiveRecorder(BagRecorder):
         except Exception as error:
             self._refuse(error)
 
-    def _numbers(self, role: str, stamp: int, values: Any, received: int | None = None) -> None:
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
         try:
-            super()._numbers(role, stamp, values, received)
+            super().numbers(role, stamp, values, received)
         except Exception as error:
             self._refuse(error)
 
