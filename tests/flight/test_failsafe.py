@@ -15,6 +15,7 @@ from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import VirtualLink
 from fiplib.flight.setpoint import Mode, Setpoint, TiltPredictor, disarmed
+from fiplib.flight.transitions import TRANSITIONS, Condition, Row, by_mode
 from fiplib.mpc import Status
 from fiplib.params import NANO, Params
 from fiplib.pilot import Hover, Pilot
@@ -97,6 +98,119 @@ def flying(params: Params = PARAMS) -> tuple[Guard, Stream]:
 def path(guard: Guard) -> list[tuple[Mode, Mode]]:
     """The transitions after take-off."""
     return [(entry.before, entry.after) for entry in guard.transitions[2:]]
+
+
+# --- the table of transitions, row by row
+
+
+def standing() -> tuple[Guard, Stream]:
+    guard = Guard(Pilot(PARAMS, Hover()))
+    return guard, Stream(guard)
+
+
+def ready() -> tuple[Guard, Stream]:
+    guard, stream = standing()
+    stream.feed(1.0)
+    return guard, stream
+
+
+def coasting() -> tuple[Guard, Stream]:
+    guard, stream = flying()
+    stream.silence(0.05)
+    return guard, stream
+
+
+def hovering(calls: float = math.inf) -> tuple[Guard, Stream]:
+    guard, stream = flying()
+    Trouble(guard, calls)
+    stream.feed(0.1)
+    return guard, stream
+
+
+def hovering_and_coasting() -> tuple[Guard, Stream]:
+    guard, stream = hovering()
+    stream.silence(0.05)
+    return guard, stream
+
+
+def levelled() -> tuple[Guard, Stream]:
+    guard, stream = flying()
+    stream.silence(0.15)
+    return guard, stream
+
+
+def given_up() -> tuple[Guard, Stream]:
+    guard, stream = flying()
+    guard.abort(stream.now, "operator abort")
+    return guard, stream
+
+
+def unseated(guard: Guard, stream: Stream) -> None:
+    for share in np.linspace(0.0, 0.2, 240):
+        stream.feed(1 / 240, lambda f, by=share: f._replace(pendulum_position=f[3] - np.array((0.0, 0.0, by))))
+
+
+def failing(seconds: float, calls: float) -> Callable[[Guard, Stream], None]:
+    def happen(guard: Guard, stream: Stream) -> None:
+        Trouble(guard, calls)
+        stream.feed(seconds)
+
+    return happen
+
+
+def armed(guard: Guard, stream: Stream) -> None:
+    guard.arm(stream.now)
+    stream.feed(1 / 240)
+
+
+CASES = [
+    (standing, Condition.CHECKS_PASSED, lambda guard, stream: stream.feed(1.0)),
+    (ready, Condition.CHECKS_FAILED, lambda guard, stream: stream.silence(0.1)),
+    (ready, Condition.ARMED, armed),
+    (flying, Condition.POSE_LATE, lambda guard, stream: stream.silence(0.05)),
+    (hovering, Condition.POSE_LATE, lambda guard, stream: stream.silence(0.05)),
+    (flying, Condition.SOLVE_FAILED, failing(0.02, 1)),
+    (coasting, Condition.SOLVER_FAILED, failing(0.1, math.inf)),
+    (hovering_and_coasting, Condition.SOLVER_AWAITED, lambda guard, stream: stream.feed(0.02)),
+    (coasting, Condition.SOLVED, lambda guard, stream: stream.feed(0.05)),
+    (lambda: hovering(4), Condition.SOLVED, lambda guard, stream: stream.feed(0.3)),
+    (coasting, Condition.POSE_MISSING, lambda guard, stream: stream.silence(0.1)),
+    (levelled, Condition.POSES_BACK, lambda guard, stream: stream.feed(0.1)),
+    (hovering, Condition.NO_SOLVER, lambda guard, stream: stream.feed(SAFETY.hover_time)),
+    (flying, Condition.ROD_FALLEN, lambda guard, stream: stream.ramp("lean", 0.8, 3.0)),
+    (flying, Condition.ROD_OFF_SEAT, unseated),
+    (flying, Condition.TILTED, lambda guard, stream: stream.ramp("tilt", 1.0, 3.0)),
+    (flying, Condition.OUTSIDE, lambda guard, stream: stream.ramp("at", (2.6, 0.0, 1.3), 3.0)),
+    (flying, Condition.ABORTED, lambda guard, stream: guard.abort(stream.now, "abort")),
+    (levelled, Condition.ABORTED, lambda guard, stream: guard.abort(stream.now, "abort")),
+    (levelled, Condition.POSE_LOST, lambda guard, stream: stream.silence(0.5)),
+    (given_up, Condition.LANDED, lambda guard, stream: stream.ramp("at", (0.0, 0.0, 0.1))),
+    (given_up, Condition.LEVELLED, lambda guard, stream: stream.feed(SAFETY.level_time + 0.1)),
+    (flying, Condition.STOPPED, lambda guard, stream: guard.abort(stream.now, "abort", disarm=True)),
+    (standing, Condition.STOPPED, lambda guard, stream: guard.abort(stream.now, "abort")),
+]
+
+
+@pytest.mark.parametrize(("state", "condition", "happen"), CASES)
+def test_each_condition_leads_where_its_row_says(state, condition, happen):
+    guard, stream = state()
+    known = len(guard.transitions)
+    [row] = [row for row in TRANSITIONS if row.condition is condition]
+    assert guard.mode in row.before
+    happen(guard, stream)
+    # before the rod has fallen or the vehicle is on its side, the solver may have failed: that is another row
+    entry = next(entry for entry in guard.transitions[known:] if entry.after is row.after)
+    assert entry.before in row.before and entry.level == row.level and entry.reason
+    if row.final:
+        stream.feed(1.0)  # good frames, and a working solver if it was one before, bring nothing back
+        assert guard.mode in (Mode.LEVEL, Mode.DISARMED) and (guard.ended is None or guard.mode is Mode.DISARMED)
+
+
+def test_every_row_is_tested_and_no_two_contradict_each_other():
+    assert {condition for _, condition, _ in CASES} == set(Condition) == {row.condition for row in TRANSITIONS}
+    assert len(by_mode()) == sum(len(row.before) for row in TRANSITIONS)
+    with pytest.raises(ValueError, match="two transitions for READY and ARMED"):
+        by_mode((*TRANSITIONS, Row((Mode.READY,), Condition.ARMED, Mode.LEVEL, "info", "a mistake")))
 
 
 # --- before the flight
@@ -560,6 +674,8 @@ def test_whatever_comes_in_setpoints_are_finite_and_bounded_and_a_disarmed_end_i
     stamps = [setpoint.stamp for setpoint in stream.sent]
     assert stamps == sorted(stamps)
     assert all(a.after is b.before for a, b in zip(guard.transitions, guard.transitions[1:], strict=False))
+    rows = {(mode, row.after, row.level) for (mode, _), row in by_mode().items()}
+    assert all((entry.before, entry.after, entry.level) in rows for entry in guard.transitions)
 
 
 @settings(max_examples=300)
