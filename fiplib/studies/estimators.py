@@ -25,7 +25,7 @@ from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.simulate import Scenario, fly
 
 KEYS = ("excitation", "gyration_ratio", "seed")
@@ -124,9 +124,8 @@ def _flown(case: dict) -> tuple[Flight, bool]:
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
     scenario = Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)
-    tape = MemoryRecorder()
-    outcome = fly(scenario, tape)
-    return replay.flight_of(tape, scenario), outcome.survived
+    flight = fly(scenario)
+    return flight, flight.survived
 
 
 def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, ...]) -> float:
