@@ -147,9 +147,8 @@ def at_recorded_rate(params: Params, command: Series) -> Params:
     The parameters' own rate stays where it agrees with the median step of the stamps within 2 %.
     """
     rate = NANO / float(np.median(np.diff(command.stamp))) if len(command.stamp) > 1 else params.piloting.control_rate
-    return (
-        params if abs(rate / params.piloting.control_rate - 1) <= 0.02 else params.replace(piloting__control_rate=rate)
-    )
+    same = abs(rate / params.piloting.control_rate - 1) <= 0.02
+    return params if same else params.replace(piloting__control_rate=rate)
 
 
 def refit(flight: Flight, params: Params | None = None) -> Flight:
@@ -218,12 +217,8 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
     """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters (window, sampling, schedule) than those it was flown with.
-
-    Raises:
-        BagError: the bag cannot be refitted; the message says why.
+    ``params`` are other parameters (window, sampling, schedule) than those of the flight. Raises BagError: the bag
+    cannot be refitted; the message says why.
     """
     params = params or flight.params
     kind = estimator_of(params).kind
@@ -242,8 +237,7 @@ def window_between(flight: Flight, start: float, end: float, params: Params) -> 
 
     Args:
         flight: the recorded flight.
-        start: s since the start of the flight.
-        end: s, as well.
+        start, end: in s since the start of the flight.
         params: with the sampling period; the number of samples follows from it.
 
     Returns:
@@ -300,9 +294,7 @@ def raw_windows(
 def raw_window_between(flight: Flight, start: float, end: float) -> RawWindow:
     """The window of raw motion capture of a stretch of flight, but for 0.02 s of frames lost at its ends.
 
-    Raises:
-        BagError: the bag holds no commands.
-        ValueError: motion capture or commands have a gap there.
+    Raises BagError if the bag holds no commands, ValueError if motion capture or commands have a gap there.
     """
     if not (found := raw_windows(flight, end - start - 0.02, 0.0, start, end)):
         raise ValueError(f"needs motion capture all along the window, and commands from {LEAD:g} s before it")

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from fiplib.estimators.base import PRIOR, Estimate, inverted, regression
+from fiplib.estimators.base import PRIOR, Estimate
+from fiplib.estimators.recursive_least_squares import inverted, regression
 from fiplib.kalman import Window
 from fiplib.params import Params
 

@@ -35,7 +35,6 @@ REBASE = 24
 FREE = 17
 """Degrees of freedom of the plant's 20 states: attitude and direction are unit vectors, direction rate lies across."""
 
-
 OFFSETS = 4
 """Constants that a calibration leaves unknown: of the pendulum's centre of mass along x and y in m, and of the
 vehicle's attitude about its x and y in rad."""

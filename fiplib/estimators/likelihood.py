@@ -25,9 +25,9 @@ What no laboratory knows is not taken for known:
   against its thrust, are two constants per axis, fitted too. Taken for exact, a tenth of a millimetre of the first
   would pass for a centimetre of length (the study ``imperfections``).
 - *Thrust* is weighed against gravity by how the vehicle rises and sinks: the length goes with it.
-- *The inner loop.* Where the noise of motion capture does not explain the window, the tilt may also wander from what
-  the commands ask for: a random walk, its size as likely as possible (``WindowModel.likely_wander``). Commands that
-  come a little late or early do that, and so does real firmware.
+- *The inner loop.* Where the noise of motion capture does not explain the window, the tilt may drift from
+  the commanded one as a random walk, whose variance is estimated by maximum likelihood (``WindowModel.likely_wander``).
+  Commands that come a little late or early do that, and so does real firmware.
 
 The height of the pendulum's centre of mass is not used. Half the length could be read off it at once, in the simulator
 as in a laboratory whose motion capture knows where the centre of mass is; the paper's states do not hold it either.
@@ -67,7 +67,6 @@ over its own width (w goes with l^-1/2, so +-2 sd asks for +-10 % in w), and the
 LARGEST_MISFIT = 4.0
 """Refused above this mean squared residual over the stated noise: the model misses something, a push for example. Pure
 noise stays below 1.1 with 3600 residuals; up to here the standard deviation is inflated by the misfit's root."""
-
 
 BY_CHANCE = 4.0
 """Standard deviations of the mean squared residual within which noise alone explains it: 1.1 with 3600 residuals."""

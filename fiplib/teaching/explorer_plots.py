@@ -36,16 +36,10 @@ _LABELS = {signal.name: signal.label for signal in STATES}
 
 @dataclass(frozen=True, eq=False)
 class WindowFit:
-    """What the fit of a window was given and found.
+    """The genetic algorithm and the landscape on one window: data, settings, results.
 
-    Attributes:
-        window: the data.
-        params: with the settings of the fit.
-        lengths: of the landscape, in m, (L,).
-        fitness: of these lengths, (L,).
-        best: length of least fitness that the chromosome can express near the landscape's best, m.
-        found: by the genetic algorithm.
-        seconds: that all of this took.
+    ``lengths`` (L,) in m and their ``fitness``; ``best`` is the length of least fitness in m, ``found`` the answer of
+    the genetic algorithm, ``seconds`` the time that all of this took.
     """
 
     window: Window
@@ -175,7 +169,7 @@ def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], trut
             _generations(middle, refits[-1])
             _history(right, refits[-SHOWN:], max(0, len(refits) - SHOWN), truth)
         else:
-            words = "press WindowFit" if flight.command is not None else "no commands, no refit"
+            words = "press Refit" if flight.command is not None else "no commands, no refit"
             for axes in (left, middle, right):
                 axes.set(xticks=[], yticks=[])
             left.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=left.transAxes)
@@ -192,7 +186,7 @@ def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], trut
 
 
 SHOWN = 12
-"""WindowFits shown side by side; older ones remain in the table."""
+"""Refits shown side by side; older ones remain in the table."""
 
 
 def _landscape(axes: Axes, refit: WindowFit) -> None:
