@@ -260,11 +260,8 @@ class ParallelEstimator(Protocol):
 
     remarks: deque[tuple[str, str]]
     """(level, text) of what it has to say about itself; whoever reads them takes them away."""
-
-    @property
-    def seconds(self) -> float:
-        """How long its last run took, s; nan where that is not known."""
-        ...
+    seconds: float
+    """How long its last run took, s; nan where that is not known."""
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         """Give it a window (if one is due) at ``now`` ns; its newest estimate, once."""
@@ -302,8 +299,8 @@ class LengthUpdates:
         scenario: its ``told_lengths`` are the prescribed ones.
         estimator: beside the flight, or ``None``.
         receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
-        recorder: lengths, refusals and the estimator's remarks are recorded there.
-        say: also shows the remarks of the estimator to somebody.
+        recorder: of lengths, refusals and the estimator's remarks.
+        say: takes the remarks, too.
     """
 
     def __init__(

@@ -166,10 +166,10 @@ def long_rod() -> Flight:
 
 def test_a_wrong_first_length_that_fells_the_printed_loop_leaves_the_trusted_one_standing():
     short = {"piloting__initial_length": 1.6, "pendulum__length": 0.5}
-    printed, trusted = (flown(policy, 2.5, **short) for policy in ("printed", "trusted"))
+    printed, trusting = flown("printed", 2.5, **short), flown("trusted", 2.5, **short)
     assert not printed.survived and printed.duration < 2.0  # before the first window of 5.5 s is full
-    used = trusted.length.column("used")
-    assert trusted.survived and used.max() <= 0.5 and used[-1] > 0.95 * 0.5
+    used = trusting.length.column("used")
+    assert trusting.survived and used.max() <= 0.5 and used[-1] > 0.95 * 0.5
 
 
 def test_a_long_rod_is_found_within_three_seconds_from_far_too_short(long_rod):
