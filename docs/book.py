@@ -26,7 +26,7 @@ CHAPTERS = {
     "Real vehicles": ("live", "posecheck", "sender", "estimator_process", "crsf", "firmware", "faults"),
     "Results": ("claims", "measures", "ledger", "figures", "findings", "tables", "summaries", "style"),
     "Studies": ("journal", "sweep", "cluster", "studies"),
-    "Notebooks": ("lecture", "graders", "animate", "explorer", "explorer_fit", "explorer_plots"),
+    "Notebooks": ("lecture", "graders", "animate", "explorer", "explorer_plots"),
 }
 """The modules' pages in reading order; a module that is not named here comes last."""
 
