@@ -1,4 +1,4 @@
-"""Shared by the notebooks: the fast switch, the folders of the repository, the table of expected and measured values."""
+"""What the notebooks share: a fast switch, folders of the repository, the table of expected and measured values."""
 
 import os
 from collections.abc import Mapping
