@@ -219,13 +219,13 @@ class Recorder(Protocol):
 class MemoryRecorder:
     """Keeps a flight in memory, and hands it on to another recorder if there is one.
 
-    ``events`` are those so far; ``flight`` is all.
+    ``stamps`` (ns) and ``values`` by role, and ``events``, are what has come so far; ``flight`` makes a flight of it.
     """
 
     def __init__(self, other: Recorder | None = None) -> None:
         self._other = other
-        self._stamps: defaultdict[str, list[int]] = defaultdict(list)
-        self._values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
+        self.stamps: defaultdict[str, list[int]] = defaultdict(list)
+        self.values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
         self.events: list[Event] = []
 
     @property
@@ -233,12 +233,12 @@ class MemoryRecorder:
         return self._other.failed if self._other else None
 
     def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self._stamps[topic].append(stamp)
-        self._values[topic].append(values)
+        self.stamps[topic].append(stamp)
+        self.values[topic].append(values)
 
     def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
         self._add(body, stamp, *position, *orientation)
-        self._stamps[f"{body} received"].append(received)
+        self.stamps[f"{body} received"].append(received)
         if self._other:
             self._other.pose(body, stamp, received, position, orientation)
 
@@ -281,8 +281,8 @@ class MemoryRecorder:
 
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
         """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
-        stamps = {role: np.array(known, np.int64) for role, known in self._stamps.items()}
-        values = {role: np.array(known, np.float64) for role, known in self._values.items()}
+        stamps = {role: np.array(known, np.int64) for role, known in self.stamps.items()}
+        values = {role: np.array(known, np.float64) for role, known in self.values.items()}
         for array in (*stamps.values(), *values.values()):
             array.flags.writeable = False
         bodies = {

@@ -2,8 +2,8 @@
 
 ``LiveRecorder`` takes the same calls as ``BagRecorder`` and hands the bytes to a process of its own, through a pipe and
 without ever waiting. That process sorts, compresses and writes them, four times a second, in chunks of which each can
-be read without the others: whatever is killed in flight leaves a file that ``python -m fiplib.bags.reader recover`` reads. If
-only the script dies, the process finishes the bag properly.
+be read without the others: whatever is killed in flight leaves a file that ``fip bag recover`` reads. If only the
+script dies, the process finishes the bag properly.
 
 Runs on POSIX systems.
 """
@@ -180,7 +180,7 @@ class LiveRecorder(BagRecorder):
         self._process.stdout.close()
         if self.failed:
             if not (self.path / "metadata.yaml").exists():
-                self.failed += f". The bag is not finished: python -m fiplib.bags.reader recover {self.path}"
+                self.failed += f". The bag is not finished: fip bag recover {self.path}"
             missing = f" (at least {self.dropped} messages of the flight are missing)" if self.dropped else ""
             raise BagError(self.failed + missing)
 

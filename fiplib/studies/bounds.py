@@ -24,11 +24,10 @@ from functools import cache
 
 import numpy as np
 
-from fiplib import replay
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION
 from fiplib.params import NANO, Params
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.simulate import Scenario, fly
 from fiplib.studies.landscapes import EXCITATIONS, RODS
 
@@ -83,7 +82,7 @@ def flown(excitation: str, rod: str) -> Flight:
     params = Params().replace(pendulum__gyration_ratio=RODS[rod])
     seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
     scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    tape = MemoryRecorder()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}")
-    return replay.flight_of(tape, scenario)
+    return flight

@@ -19,7 +19,6 @@ import numpy as np
 
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.recording import MemoryRecorder
 from fiplib.simulate import Scenario, fly
 
 KEYS = ("policy", "index")
@@ -81,18 +80,17 @@ def run(case: dict) -> dict[str, float | int | str]:
         piloting__initial_length=true if told else case["initial_length"],
         **POLICIES[case["policy"]],
     )
-    tape = MemoryRecorder()
-    outcome = fly(Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"]), tape)
-    times, used = tape["length"][:, 0], tape["length"][:, 1]
+    flight = fly(Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"]))
+    times, used = flight.time(flight.length), flight.length.column("used")
     return {
         "initial_length": case["initial_length"],
         "true_length": true,
-        "survived": int(outcome.survived),
-        "seconds": outcome.duration,
+        "survived": int(flight.survived),
+        "seconds": SECONDS if flight.survived else flight.duration,
         "settled": settled(times, used / true),
         "used_length": float(used[-1]),
         "longest_used": float((used / true).max()),
-        "largest_lean": float(np.abs(tape["truth_state"][:, [1 + A, 1 + B]]).max()),
+        "largest_lean": float(np.abs(flight.truth_state.values[:, [A, B]]).max()),
     }
 
 

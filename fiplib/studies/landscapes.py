@@ -20,7 +20,7 @@ from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.simulate import Scenario, fly
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
@@ -123,7 +123,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
-        flight = flight_of(excitation, params.pendulum.gyration_ratio, seed)
+        flight = flown(excitation, params.pendulum.gyration_ratio, seed)
         known = replay.windows(flight, often)
         seconds = np.array([window.stamp - flight.start_ns for window in known]) / NANO
         chosen += [known[np.abs(seconds - end).argmin()].window for end in ENDS]
@@ -131,7 +131,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
 
 
 @cache
-def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
+def flown(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """A simulated flight with the true length; the same for all that is varied in the estimator.
 
     Raises:
@@ -139,10 +139,10 @@ def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
     scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    tape = MemoryRecorder()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
-    return replay.flight_of(tape, scenario)
+    return flight
 
 
 def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArray, NDArray]:

@@ -227,7 +227,7 @@ class Explorer:
         return f"window {start:.2f} to {end:.2f} s, {params.estimation.window} samples"
 
     def _describe(self) -> None:
-        flight, why = self.flight, self.flight.why_not_refit()
+        flight, why = self.flight, replay.why_not_refit(self.flight)
         made = {"simulated": "simulated, no real vehicle", "real": "a real flight", "unknown": "of unknown origin"}
         words = (
             f"<b>{html.escape(flight.path.name)}</b>: {made[flight.metadata['origin']]}; {flight.duration:.1f} s, "
@@ -249,7 +249,7 @@ class Explorer:
         draw_refit(self.found.figure, self.flight, self.refits, self._truth())
         self.found.show()
         if not self.refits:
-            why = self.flight.why_not_refit() if self.flight.command is None else None
+            why = replay.why_not_refit(self.flight) if self.flight.command is None else None
             self.answer.value = _box(f"This flight cannot be refitted. {html.escape(why)}" if why else "No refit yet.")
             return
         last = self.refits[-1]

@@ -83,7 +83,7 @@ def window_between(flight: Flight, known: Series, start: float, end: float, para
         ValueError: fewer than 2 samples, or more than ``MOST_SAMPLES``.
     """
     if flight.command is None:
-        raise BagError(f"{flight.path}: {flight.why_not_refit()}")
+        raise BagError(f"{flight.path}: {replay.why_not_refit(flight)}")
     params = replay.at_recorded_rate(params, flight.command)
     at = flight.time(flight.command)
     latest = np.searchsorted(known.stamp, flight.command.stamp, side="right") - 1

@@ -198,7 +198,7 @@ def test_a_file_that_cannot_grow_stops_the_recording_and_not_the_flight(tmp_path
     assert said.startswith(f"{tmp_path / 'flight'}: recording stopped: File too large")
     (tmp_path / "land").touch()
     landed = running.process.stdout.read().splitlines()[-1]
-    assert landed.startswith("landed: ") and f"python -m fiplib.bags.reader recover {tmp_path / 'flight'}" in landed
+    assert landed.startswith("landed: ") and f"fip bag recover {tmp_path / 'flight'}" in landed
     assert running.process.wait() == 0
     recovery = recover(tmp_path / "flight")
     assert not recovery.gaps  # the file ends with its last whole chunk: nothing in it is damaged
@@ -238,7 +238,7 @@ def test_a_full_disk_ends_the_bag_properly_and_says_so(small_disk: Path) -> None
     with pytest.raises(BagError, match=r"No space left on device \(at least \d+ messages of the flight are missing"):
         bag.close()
     flight = read(small_disk / "flight")  # no need to recover anything
-    assert flight.events[-1][1:] == ("error", "recording stopped: No space left on device; what followed is lost")
+    assert flight.events[-1][1:3] == ("error", "recording stopped: No space left on device; what followed is lost")
     kept = len(flight.vehicle.stamp)
     assert 100 < kept < flown and not (small_disk / "flight" / SIDECAR).exists()
     np.testing.assert_array_equal(flight.vehicle.position, numbers.position["vehicle"][:kept])
@@ -370,7 +370,7 @@ def test_a_flight_that_ends_by_an_exception_is_recorded_up_to_there(tmp_path: Pa
         for body in ("vehicle", "pendulum"):
             bag.pose(body, 0, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         raise KeyboardInterrupt
-    assert read(tmp_path / "flight").events == ((5, "fatal", "recording ended by KeyboardInterrupt"),)
+    assert read(tmp_path / "flight").events == ((5, "fatal", "recording ended by KeyboardInterrupt", "note", {}),)
 
 
 def test_what_ended_the_flight_is_not_hidden_by_its_recording(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from fiplib.estimators.likelihood import CALIBRATION, LARGEST_SPREAD, NUISANCES,
 from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import BagError, Flight, MemoryRecorder
+from fiplib.recording import BagError, Flight
 from fiplib.simulate import Push, Scenario, fly
 from fiplib.studies import estimators as study
 from tests.test_kalman import simulated_window
@@ -45,9 +45,9 @@ def flown(kind: str = "circle", seed: int = 1, **changes: float) -> Flight:
     reference = {"circle": Circle(0.4, 8.0, ramp=2.0), "hover": Hover()}[kind]
     pushes = (Push(6.0, (0.006, 0.0)),) if kind == "hover" else ()
     scenario = Scenario(kind, "", 8.0, reference, pushes=pushes, params=Params().replace(**changes), seed=seed)
-    tape = MemoryRecorder()
-    assert fly(scenario, tape).survived
-    return replay.flight_of(tape, scenario)
+    flight = fly(scenario)
+    assert flight.survived
+    return flight
 
 
 def raw(flight: Flight, after: float = 4.0, seconds: float = 2.5) -> RawWindow:

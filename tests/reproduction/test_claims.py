@@ -66,7 +66,7 @@ def flight(
         length=series([t for t, _ in lengths], [[l, l, 0.0] for _, l in lengths], ("used", "estimate", "sd"))
         if lengths
         else None,
-        events=tuple(Event(round(push * 1e9), "info", "push of 8 mN s") for push in pushes),
+        events=tuple(Event(round(push * 1e9), "info", "push of 8 mN s", "push") for push in pushes),
         truth_state=None,
         truth_length=None,
         start_ns=0,
