@@ -1,10 +1,18 @@
-"""What all estimators share: the estimate, the kind of window, the prior."""
+"""What estimators share: the estimate, an entry of the registry, the prior, the regression. Imports no solver."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, NamedTuple
 
-from fiplib.params import Params
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib.params import AXES, GRAVITY, Params
+
+if TYPE_CHECKING:
+    from fiplib.kalman import Window
 
 
 @dataclass(frozen=True)
@@ -19,17 +27,37 @@ class Estimate:
     reason: str | None = None
 
 
+class Estimator(NamedTuple):
+    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'."""
+
+    path: str
+    kind: str
+
+    @property
+    def function(self) -> Callable[..., Estimate]:
+        """The function (window, params, rng) -> Estimate; its module is imported now."""
+        return resolve_name(f"{__package__}.{self.path}")
+
+
 PRIOR = (1.1, 0.5)
 """Mean and standard deviation in m of the length before any data, for the estimators that need one: the middle of the
 paper's interval from 0.2 to 2 m, which then is nearly +-2 deviations wide."""
 
 
-class Estimator(NamedTuple):
-    """A function (window, params, rng) -> Estimate, and the kind of window it takes: 'states' or 'raw'."""
+def regression(window: "Window") -> tuple[NDArray, NDArray]:
+    """Regressor 2 g d and response d'' + g tilt, (2 (n - 1),), in time order, both as means over a step."""
+    rows = []
+    for axis in AXES:
+        _, _, offset, offset_rate, tilt = axis.states
+        mean = (window.states[1:] + window.states[:-1]) / 2
+        second = np.diff(window.states[:, offset_rate]) / window.step
+        rows.append((2 * GRAVITY * mean[:, offset], second + GRAVITY * axis.sign * mean[:, tilt]))
+    regressor, response = np.array(rows).transpose(1, 2, 0).reshape(2, -1)
+    return regressor, response
 
-    function: Callable[..., Estimate]
-    kind: str
 
-
-def _within(length: float, params: Params) -> float:
-    return min(max(float(length), params.estimation.length_min), params.estimation.length_max)
+def inverted(inverse: float, deviation: float, params: Params) -> Estimate:
+    """From 1/l and its standard deviation to l, to first order; refused outside the interval of lengths."""
+    if not params.estimation.length_min < 1 / max(inverse, 1e-9) < params.estimation.length_max:
+        return Estimate(math.nan, math.nan, f"the regression gives 1/l = {inverse:.2g} 1/m, not a rod in question")
+    return Estimate(1 / inverse, deviation / inverse**2)
