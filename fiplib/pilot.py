@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import euler_angles
+from fiplib.dynamics import body_z_of, euler_angles
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
 from fiplib.estimators.handover import HANDOVERS, HandOver
@@ -156,8 +156,7 @@ class Observer:
         if self._piloting.pendulum_measurement == "position":
             a, b = float(measurement.pendulum_position[0]) - x, float(measurement.pendulum_position[1]) - y
         else:
-            qx, qy, qz, qw = (float(value) for value in measurement.pendulum_attitude)
-            a, b = length * (qx * qz + qw * qy), length * (qy * qz - qw * qx)
+            a, b = 0.5 * length * body_z_of(measurement.pendulum_attitude)[:2]
         positions = np.array((x, y, a, b, z))
         if self._stamp is not None and measurement.stamp > self._stamp:
             elapsed = (measurement.stamp - self._stamp) / NANO

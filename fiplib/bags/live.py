@@ -98,6 +98,11 @@ class LiveRecorder(BagRecorder):
             self._release()
             raise BagError(words if words.startswith(f"{self.path}:") else f"{self.path}: cannot record here ({words})")
 
+    @property
+    def pid(self) -> int:
+        """The id of the process that writes."""
+        return self._process.pid
+
     def pose(
         self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
     ) -> None:

@@ -43,7 +43,7 @@ from fiplib.flight.betaflight.airframe import Airframe, MotorPlant
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
 from fiplib.flight.loop import FlightLoop, Outcome
-from fiplib.flight.radio import Encoder
+from fiplib.flight.crsf_frames import Encoder
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
 from fiplib.params import NANO, Params, assignment
 from fiplib.pilot import Hover

@@ -38,7 +38,7 @@ from fiplib.flight.betaflight.airframe import (
     step_shape,
 )
 from fiplib.flight.links.simulated import VirtualLink
-from fiplib.flight.radio import Encoder, count, pack
+from fiplib.flight.crsf_frames import Encoder, count, pack
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.params import GRAVITY, Params
 from fiplib.pilot import Hover

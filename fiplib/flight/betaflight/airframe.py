@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
-from fiplib.flight.radio import US_OFFSET, US_PER_COUNT, betaflight_settings
+from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
 from fiplib.params import GRAVITY, Params, quantity
 from fiplib.simulate import Plant
 
