@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
     [
         ("-m", "fiplib.reproduction.figures", "--list"),
         ("scripts/fly.py", "--list"),
-        ("-m", "fiplib.studies.faults.campaign", "--list"),
+        ("-m", "fiplib", "faults", "--list"),
     ],
 )
 @pytest.mark.parametrize("unbuffered", ["1", ""])
