@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from fiplib import replay
-from fiplib.estimators import ESTIMATORS, Estimate
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
 from fiplib.params import NANO, Params

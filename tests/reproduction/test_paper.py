@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from fiplib import replay
 from fiplib.params import Params
-from fiplib.reproduction import claims, figures, ledger, measures
+from fiplib.reproduction import claims, figures, ledger
 from fiplib.reproduction.rows import read as read_rows
 from fiplib.studies import summaries
 
@@ -109,7 +110,7 @@ def report() -> str:
 def judged_rows() -> list[ledger.Row]:
     """The ledger with a single window each refitted: the names of the macros are the same."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measures, "STRIDE", 1000)
+        patch.setattr(replay, "STRIDE", 1000)
         claims.search_gaps.cache_clear()
         return ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
 
