@@ -41,7 +41,8 @@ PERIOD = 0.25
 """s from one chunk to the next. A kill takes these and ``_HOLD``; the rest of the second is for a machine too busy."""
 _HOLD = NANO // 10  # ns that messages wait for earlier ones of another topic; a pose arrives within some 20 ms
 _NAP = 0.02  # s of messages taken at once: to wake for each would take the control's time on a small computer
-_RESERVE = 4 << 20  # bytes kept for the end of the recording when the disk is full: the index of an hour, and more
+RESERVE = 4 << 20
+"""Bytes kept for the end of the recording when the disk is full: the index of an hour, and more."""
 _BACKLOG = 32 << 20  # bytes kept in memory when the disk stalls: two minutes of flight
 _PATIENCE = 30.0  # s that start and end of a recording may take
 
@@ -263,9 +264,9 @@ class _Bag(BagRecorder):
             # Without a name: gone with this process, however that ends.
             self._reserve = tempfile.TemporaryFile(dir=self.path)
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE)
+                os.posix_fallocate(self._reserve.fileno(), 0, RESERVE)
             else:
-                self._reserve.write(bytes(_RESERVE))
+                self._reserve.write(bytes(RESERVE))
                 self._reserve.flush()
             self._say_what_it_is()
             for folder in (self.path, self.path.parent):

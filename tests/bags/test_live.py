@@ -139,7 +139,7 @@ def test_a_flight_killed_with_all_its_processes_loses_one_second_at_most(tmp_pat
     bag = tmp_path / "flight"
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
     assert set(before) == {"flight.mcap", SIDECAR}
-    with pytest.raises(BagError, match=r"not finished.* intact.*python -m fiplib\.bags recover"):
+    with pytest.raises(BagError, match=r"not finished.* intact.*fip bag recover"):
         read(bag)
 
     recovery = recover(bag)
@@ -193,7 +193,7 @@ def test_a_flight_goes_on_when_its_recording_is_killed(script: Script) -> None:
 
 def test_a_file_that_cannot_grow_stops_the_recording_and_not_the_flight(tmp_path: Path) -> None:
     """A limit on the size of files stands for a quota: the reserve cannot help, the bag stays unfinished."""
-    running = Script(tmp_path, live._RESERVE + 1000)
+    running = Script(tmp_path, live.RESERVE + 1000)
     said = running.process.stdout.readline()
     assert said.startswith(f"{tmp_path / 'flight'}: recording stopped: File too large")
     (tmp_path / "land").touch()
@@ -214,7 +214,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk that has room for the reserve and 1 MB."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    size = f"size={live._RESERVE + (1 << 20)}"
+    size = f"size={live.RESERVE + (1 << 20)}"
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", size, "fip", str(disk)], capture_output=True, text=True)
     if mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")
