@@ -14,10 +14,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from fiplib.__main__ import guarded
 from fiplib.flight import command
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.session import Session
-from fiplib.params import FipError
 from fiplib.pilot import Pilot
 
 
@@ -56,15 +56,8 @@ def main() -> int:
         description=description, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     command.add_arguments(parser)
-    try:
-        return fly(parser.parse_args())
-    except (FipError, ValueError, OSError) as error:
-        print(f"fly.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("fly.py: interrupted", file=sys.stderr)
-        return 130
+    return fly(parser.parse_args())
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(guarded(main))

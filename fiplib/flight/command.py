@@ -28,6 +28,7 @@ from fiplib.simulate import Scenario
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``fip fly``, those of every link among them."""
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--scenario", metavar="NAME", help="which flight to fly (see --list)")
     action.add_argument("--list", action="store_true", help="list the scenarios")

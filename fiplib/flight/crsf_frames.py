@@ -44,7 +44,7 @@ def crc8(data: bytes) -> int:
 
 
 def pack(channels: Sequence[int]) -> bytes:
-    """The frame (26 bytes) that carries 16 channels, each 0 to 2047. Raises ValueError for anything else."""
+    """Return the frame (26 bytes) that carries 16 channels, each 0 to 2047. Raises ValueError for anything else."""
     if len(channels) != CHANNELS or not all(0 <= value < 2048 for value in channels):
         raise ValueError(f"a frame carries {CHANNELS} channels of 0 to 2047, not {list(channels)}")
     bits = sum(int(value) << 11 * index for index, value in enumerate(channels))
@@ -53,7 +53,7 @@ def pack(channels: Sequence[int]) -> bytes:
 
 
 def count(microseconds: float) -> int:
-    """The channel's value that Betaflight reads as nearest to these microseconds."""
+    """Return the channel's value that Betaflight reads as nearest to these microseconds."""
     return round((microseconds - US_OFFSET) / US_PER_COUNT)
 
 
@@ -91,11 +91,11 @@ class Encoder:
         """From when on, ns, an armed setpoint is encoded as it is; ``None`` after a disarmed one."""
 
     def frame(self, now: int, setpoint: Setpoint) -> bytes:
-        """The frame to send at ``now`` ns. Raises ValueError for an armed setpoint that is not finite."""
+        """Return the frame to send at ``now`` ns. Raises ValueError for an armed setpoint that is not finite."""
         return pack(self.channels(now, setpoint))
 
     def channels(self, now: int, setpoint: Setpoint) -> list[int]:
-        """The 16 channels to send at ``now`` ns, as ``frame``."""
+        """Return the 16 channels to send at ``now`` ns; raises as ``frame``."""
         radio = self._limits.radio
         if setpoint.armed and not (np.isfinite(setpoint.body_rate).all() and math.isfinite(setpoint.thrust)):
             raise ValueError("an armed setpoint that is not finite")

@@ -145,13 +145,13 @@ class Guard:
         """
         now = self._at(now)
         self._lengths.heard(now)
-        judged = self._lengths.judge(length, deviation, self.pilot.length)
-        if judged.remark is not None:
-            self.notes.append(Event(now, "warn", judged.remark))
-        if judged.length is None:
+        usable, remark = self._lengths.judge(length, deviation, self.pilot.length)
+        if remark is not None:
+            self.notes.append(Event(now, "warn", remark))
+        if usable is None:
             return self.pilot.length
         try:
-            return self.pilot.receive_estimate(judged.length, float(deviation))
+            return self.pilot.receive_estimate(usable, float(deviation))
         except Exception as error:  # a flight must outlive a bug
             self.notes.append(Event(now, "error", f"estimate not taken over ({type(error).__name__}: {error})"))
             return self.pilot.length
@@ -168,12 +168,12 @@ class Guard:
 
     @property
     def waiting(self) -> str:
-        """What the arm checks wait for, before the flight."""
+        """The reason why the arm checks have not passed, before the flight."""
         return self._arming.waiting
 
     @property
     def solver_failure(self) -> str | None:
-        """What the solver failed with last, ``None`` if it never did."""
+        """The solver's last failure, ``None`` if it never failed."""
         return self._solver.failure
 
     @property
@@ -362,7 +362,7 @@ class Guard:
         return self._last
 
     def _between(self, now: int) -> Setpoint | None:
-        """As ``tick``, but at the control rate (frames come more often), and without repeating a setpoint."""
+        """Do as ``tick``, but at the control rate (frames come more often), and without repeating a setpoint."""
         if now - self._last.stamp < self._tick_ns - self._tick_ns // 4:
             self._check_ages(now)
             return None

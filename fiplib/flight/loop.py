@@ -21,7 +21,7 @@ from fiplib.simulate import LengthUpdates, ParallelEstimator, Scenario
 
 
 class Clockwork:
-    """How punctual the flight was. Times in s.
+    """Measures how punctual the flight was. Times in s.
 
     ``late_ours`` counts ticks that were answered later than one tick after their frame had come, or whose frame was
     taken more than half a tick late after we had been busy for that long; ``late_machine`` those whose frame was taken
@@ -39,7 +39,7 @@ class Clockwork:
         self._busy = 0.0
 
     def busy(self, seconds: float) -> None:
-        """How long we were busy between two frames."""
+        """Take how long we were busy between two frames, s."""
         self._busy = max(self._busy, seconds)
 
     def solved(self, frame: int, seconds: float) -> None:

@@ -56,10 +56,10 @@ class SenderError(FipError):
 
 
 class DeadMan:
-    """What to send when: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
+    """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
     Attributes:
-        fault: why it has disarmed for good, ``None`` before.
+        fault: why it has disarmed, ``None`` before.
         rejected: setpoints that were not finite, and so never sent.
         clamped: setpoints that were out of bounds, and sent at the bounds.
     """
@@ -74,7 +74,7 @@ class DeadMan:
         self.rejected = self.clamped = 0
 
     def hear(self, now: int, setpoint: Setpoint) -> None:
-        """A setpoint has come at ``now`` ns."""
+        """Take a setpoint that came at ``now`` ns."""
         numbers = np.array((*setpoint.body_rate, setpoint.thrust, *setpoint.tilt), dtype=float)
         if numbers.shape != (6,) or not np.isfinite(numbers).all():
             self.rejected += 1
@@ -89,7 +89,7 @@ class DeadMan:
         self._newest, self._heard, self._tilt = setpoint, now, bounded[4:]
 
     def due(self, now: int) -> Setpoint:
-        """What to send at ``now`` ns."""
+        """Return what to send at ``now`` ns."""
         elapsed, self._asked = (now - self._asked) / NANO, now
         if self.fault is not None or self._newest is None or not self._newest.armed:
             return disarmed(now)
@@ -105,7 +105,7 @@ class DeadMan:
 
 
 class Counts(NamedTuple):
-    """What the sender has done so far: setpoints sent, of these repeated; never sent; clamped; failed sends."""
+    """Numbers of setpoints sent, repeated among these, rejected, clamped to the bounds, and of failed sends."""
 
     sent: int = 0
     repeated: int = 0
@@ -200,7 +200,7 @@ class Sender:
             self._lost()
 
     def fault(self) -> str | None:
-        """Why setpoints do not reach the vehicle any more, if so."""
+        """Return why setpoints do not reach the vehicle any more, ``None`` while they do."""
         if self._closed or self._rescue is not None:
             return self._fault
         try:

@@ -1,4 +1,4 @@
-"""What runs beside a flight behind the failsafe: operator, recorder, estimator, display; opened and closed in order."""
+"""The surroundings of a flight behind the failsafe: operator, recorder, estimator, display, link."""
 
 import contextlib
 import os
@@ -91,7 +91,7 @@ class Session:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What the bag carries about the flight."""
+        """The metadata of the bag."""
         scenario, link = self.scenario, self.link
         origin = {"origin": link.origin, "link": link.name, "real_time": self.real_time}
         return {**scenario.metadata(), **origin, "params": recorded(scenario.params, self._limits)}

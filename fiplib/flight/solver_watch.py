@@ -1,4 +1,4 @@
-"""What the failsafe knows about the solver: late and failed solves in a row, and the last plan to go on with."""
+"""Counts the solver's late and failed solves, and keeps its last plan to go on with."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,11 @@ class SolverWatch:
         return self._failures > 0 or self._late > 0
 
     def waits(self, now: int) -> bool:
-        """Whether it is too early to try a solver again that has failed."""
+        """Return whether it is too early to try a solver again that has failed."""
         return self.hovering_since is not None and now < self._retry
 
     def tries(self) -> None:
-        """A solve begins."""
+        """Take note that a solve begins."""
         self._tried = True
 
     def solved(self, now: int, inputs: NDArray) -> None:
@@ -64,7 +64,7 @@ class SolverWatch:
         self._retry = now + round(self._safety.solver_retry * NANO)
 
     def recovered(self) -> None:
-        """The vehicle was levelled meanwhile, and flies again: try at once."""
+        """Try the solver at once: the vehicle was levelled meanwhile, and flies again."""
         self.hovering_since = None
 
     def hovered(self, now: int) -> float:

@@ -11,7 +11,7 @@ from fiplib.flight.setpoint import Mode
 
 
 class Condition(Enum):
-    """What the failsafe can detect; the rows of ``TRANSITIONS`` say what each means and what follows."""
+    """The events that the failsafe detects; the rows of ``TRANSITIONS`` say what each means and what follows."""
 
     CHECKS_PASSED = auto()
     CHECKS_FAILED = auto()

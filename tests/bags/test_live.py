@@ -139,7 +139,7 @@ def test_a_flight_killed_with_all_its_processes_loses_one_second_at_most(tmp_pat
     bag = tmp_path / "flight"
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
     assert set(before) == {"flight.mcap", SIDECAR}
-    with pytest.raises(BagError, match=r"not finished.* intact.*python -m fiplib\.bags recover"):
+    with pytest.raises(BagError, match=r"not finished.* intact.*fip bag recover"):
         read(bag)
 
     recovery = recover(bag)

@@ -203,7 +203,7 @@ def test_a_recording_that_stops_hides_neither_the_flight_nor_itself(tmp_path):
     out, said = process.communicate(timeout=120)
     assert process.returncode == 2 and "Traceback" not in said
     assert "simulated: 3.00 s" in out and "still balanced (landed)" in out and "wrote" not in out
-    assert f"fly.py: {tmp_path / 'live'}: recording stopped: its process was killed" in said
+    assert f"fip: {tmp_path / 'live'}: recording stopped: its process was killed" in said
     assert f"fip bag recover {tmp_path / 'live'}" in said
 
 

@@ -32,7 +32,7 @@ class PoseSource(Protocol):
     """The true state (11,) as ``ROLES["truth_state"]`` at the newest frame; ``None`` where it is not known."""
 
     events: deque[Event]
-    """What happened to a simulated vehicle (pushes), for the recorder; the reader takes them away."""
+    """Pushes of a simulated vehicle, for the recorder; the reader takes them away."""
 
     @property
     def pids(self) -> dict[str, int]:
@@ -75,7 +75,7 @@ class Link(PoseSource, Protocol):
     """
 
     name: str
-    """How the command line and the bag's metadata call it."""
+    """Its name on the command line and in the bag's metadata."""
 
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
@@ -83,7 +83,7 @@ class Link(PoseSource, Protocol):
 
 
 class LinkChoice(Protocol):
-    """What the command line needs of a link's class."""
+    """The part of a link's class that the command line uses."""
 
     name: str
 
