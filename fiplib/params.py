@@ -13,6 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 
+class FipError(Exception):
+    """A user's mistake, in one sentence."""
+
+
 class Signal(NamedTuple):
     """A named, labelled quantity: ``name`` in bags and tables, ``label`` (mathtext) in figures, ``unit`` in SI."""
 

@@ -30,6 +30,8 @@ from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
 from fiplib.recording import MemoryRecorder
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.tables import Facts
 from fiplib.simulate import Scenario, fly
 from fiplib.studies.survival import RODS
 
@@ -93,3 +95,26 @@ def run(case: dict) -> dict[str, float | int | str]:
         "flown": min(outcome.duration for outcome in flown) - START,
         "rate_ratio": max(ratios),
     }
+
+
+def facts(rows: Rows) -> Facts:
+    """Return the shortest and longest length that flies, by rod, change and duration."""
+    found: Facts = {}
+    flights = max(row["survived"] for row in rows)
+    for rod in ("uniform", "point mass"):
+        for change in ("at once", "in steps"):
+            for lasting in ("for good", "2 s"):
+                kind = {"rod": rod, "change": change, "lasting": lasting}
+                some = [row for row in rows if kind.items() <= row.items()]
+                fell = [row["length"] for row in some if row["survived"] < flights]
+                ends = {
+                    "shortest": min(
+                        r["length"] for r in some if r["length"] > max((x for x in fell if x < 1), default=0)
+                    ),
+                    "longest": max(
+                        r["length"] for r in some if r["length"] < min((x for x in fell if x > 1), default=9)
+                    ),
+                }
+                name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
+                found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    return found

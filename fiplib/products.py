@@ -1,0 +1,276 @@
+"""The registry: every figure and table, the ledger and the studies, each with what it is made from.
+
+A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``; a new
+study is one module, as ``fiplib.studies`` describes it, and one line in ``STUDIES``. The Makefile, ``fip figures``,
+``fip claims`` and ``fip sweep`` know no others. Modules are imported when something of theirs is made.
+"""
+
+import argparse
+import ast
+import pkgutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fiplib import studies
+from fiplib.params import FipError
+from fiplib.reproduction.sources import Sources, read
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fiplib.reproduction.tables import Facts, Table
+
+
+@dataclass(frozen=True)
+class Product(Sources):
+    """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns."""
+
+    address: str
+
+    def load(self) -> "Callable[..., Figure | Table]":
+        """Import the function."""
+        return pkgutil.resolve_name(self.address)
+
+
+_ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
+
+PRODUCTS = {
+    "fig1-flight": Product("fiplib.reproduction.figures:fig1_flight", bags=("circle-0.8",)),
+    "fig2-vehicle": Product("fiplib.reproduction.figures:fig2_vehicle"),
+    "fig3-pushes": Product("fiplib.reproduction.figures:fig3_pushes", bags=("push-hover",)),
+    "fig4-circle": Product("fiplib.reproduction.figures:fig4_circle", bags=("circle-0.8",)),
+    "fig5-estimation": Product("fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",)),
+    "fig6-convergence": Product("fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES),
+    "fig7-survival": Product("fiplib.studies.survival:fig7_survival", studies=("survival",)),
+    "fig8-landscapes": Product("fiplib.studies.landscapes:fig8_landscapes", studies=("landscape_curves",)),
+    "fig9-estimators": Product("fiplib.studies.estimators:fig9_estimators", studies=("estimators",)),
+    "fig10-intervals": Product("fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",)),
+    "fig11-handover": Product("fiplib.studies.handover:fig11_handover", studies=("handover",)),
+    "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
+    "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
+    "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
+    "table2-software": Product("fiplib.reproduction.tables:table2_software"),
+    "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
+    "table4-estimators": Product("fiplib.studies.estimators:table4_estimators", studies=("estimators",)),
+    "table5-seeds": Product("fiplib.studies.ledger_seeds:table5_seeds", studies=("ledger_seeds",)),
+    "table6-readings": Product(
+        "fiplib.studies.ledger_seeds:table6_readings", studies=("ledger_seeds", "ledger_readings")
+    ),
+    "table7-weights": Product("fiplib.studies.weights:table7_weights", studies=("weights",)),
+    "table8-handover": Product("fiplib.studies.handover:table8_handover", studies=("handover",)),
+    "table9-landscapes": Product("fiplib.studies.landscapes:table9_landscapes", studies=("landscapes",)),
+    "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
+    "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
+}
+"""Every figure (``fig...``) and table (``table...``) by name."""
+
+STUDIES = {
+    "survival": "fiplib.studies.survival",
+    "length_jumps": "fiplib.studies.length_jumps",
+    "weights": "fiplib.studies.weights",
+    "ledger_seeds": "fiplib.studies.ledger_seeds",
+    "ledger_readings": "fiplib.studies.ledger_seeds:Readings",
+    "landscapes": "fiplib.studies.landscapes",
+    "landscape_curves": "fiplib.studies.landscapes:Curves",
+    "bounds": "fiplib.studies.bounds",
+    "estimators": "fiplib.studies.estimators",
+    "imperfections": "fiplib.studies.imperfections",
+    "handover": "fiplib.studies.handover",
+}
+"""Address of each study by name, see ``studies.load``."""
+
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
+"""The studies whose ``facts`` the report states, in the order of the file that holds them."""
+
+
+def ledger() -> Product:
+    """The ledger: made from what its claims and the report's facts are read from."""
+    from fiplib.reproduction.claims import CLAIMS
+
+    return Product(
+        "fiplib.reproduction.ledger:evaluate",
+        bags=_united(claim.bags for claim in CLAIMS),
+        studies=_united([*(claim.studies for claim in CLAIMS), FACTS]),
+        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+    )
+
+
+def _united(groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for group in groups for name in group))
+
+
+def make(name: str, data: Path = Path("data")) -> "Figure | Table":
+    """Make one figure or table from the bags and tables in ``data`` and, beside it, ``benchmarks``.
+
+    Raises:
+        FipError: no such name, or what it is made from is missing or damaged.
+    """
+    if name not in PRODUCTS:
+        raise FipError(f"no figure {name!r}; there are {', '.join(PRODUCTS)}")
+    product = PRODUCTS[name]
+    sources = product.read(data)
+    for source, what in zip(sources, product.names, strict=True):
+        if not source:
+            again = Sources(studies=product.studies, benchmarks=product.benchmarks).command
+            raise FipError(f"{what} is missing: {again}")
+    import matplotlib as mpl
+
+    from fiplib.reproduction.style import STYLE
+
+    with mpl.rc_context(STYLE):
+        return product.load()(*sources)
+
+
+def suffixes(name: str) -> tuple[str, str]:
+    """The formats in which a product is written."""
+    return (".pdf", ".png") if name.startswith("fig") else (".csv", ".tex")
+
+
+def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
+    """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from fiplib.reproduction.style import STYLE
+
+    folder.mkdir(parents=True, exist_ok=True)
+    first, second = paths = [folder / f"{name}{suffix}" for suffix in suffixes(name)]
+    if isinstance(made, Figure):
+        with mpl.rc_context(STYLE):
+            FigureCanvasAgg(made)
+            made.savefig(first, metadata={"CreationDate": None, "Producer": None, "Creator": None})
+            made.savefig(second, metadata={"Software": None})
+    else:
+        first.write_text(made.csv(PRODUCTS[name].command), encoding="utf-8")
+        second.write_text(made.latex(), encoding="utf-8")
+    return paths
+
+
+def facts(data: Path = Path("data")) -> "Facts":
+    """Return what the report states of the studies in ``FACTS``; a study that is not complete has nothing to state."""
+    rows = {study: read(study, data) for study in FACTS}
+    return {
+        (study, *words): text
+        for study in FACTS
+        if rows[study]
+        for words, text in studies.load(STUDIES[study]).facts(rows[study]).items()
+    }
+
+
+# --- what the Makefile includes
+
+
+def code(*modules: str) -> list[Path]:
+    """The source files that modules of this package are made of: theirs, and those of all that they import.
+
+    Found without importing anything. Imports inside functions count; those for type checkers alone do not.
+    """
+    root = Path(__file__).parents[1]
+    found: dict[str, Path] = {}
+    waiting = list(modules)
+    while waiting:
+        name = waiting.pop()
+        path = root.joinpath(*name.split("."))
+        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if name in found or not name.startswith("fiplib") or not file.exists():
+            continue
+        found[name] = file.relative_to(root)
+        waiting.append(name.rpartition(".")[0])
+        for node in _executed(ast.parse(file.read_bytes())):
+            if isinstance(node, ast.Import):
+                waiting += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                waiting += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return sorted(found.values())
+
+
+def _executed(node: ast.AST) -> Iterator[ast.AST]:
+    """A node and all below it, but for what only a type checker reads."""
+    if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+        yield node
+        for child in ast.iter_child_nodes(node):
+            yield from _executed(child)
+
+
+def makefile(data: Path = Path("data")) -> str:
+    """The registry as the Makefile includes it: names, files, and the sources of each product."""
+    everything = PRODUCTS | {"claims": ledger()}
+    always = [Path("requirements.lock"), Path("fiplib/products.py")]
+    lines = [
+        f"PRODUCTS := {' '.join(PRODUCTS)}",
+        f"BAGS := {' '.join(sorted(_united(product.bags for product in everything.values())))}",
+    ]
+    scanned = set(always)
+    for name, product in everything.items():
+        modules = [product.address.partition(":")[0], "fiplib.reproduction.style", "fiplib.reproduction.sources"]
+        if name == "claims":
+            modules += [STUDIES[study].partition(":")[0] for study in FACTS]
+        files = [*always, *code(*modules)]
+        scanned.update(files)
+        lines.append(f"sources_{name} := {' '.join(map(str, dict.fromkeys([*files, *product.files(data)])))}")
+    for name in PRODUCTS:
+        lines.append(f"files_{name} := {' '.join(f'figures/{name}{suffix}' for suffix in suffixes(name))}")
+    sources = " ".join(sorted(map(str, scanned)))
+    # a source without a rule would stop make once it is deleted; with an empty one, this file is made again
+    return "\n".join([*lines, f".make/products.mk: {sources}", f"{sources}:", ""])
+
+
+# --- commands
+
+
+def add_arguments_figures(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip figures``."""
+    parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
+    parser.add_argument("--list", action="store_true", help="list figures and tables with what they are made from")
+    parser.add_argument("--make", action="store_true", help="print the same for the Makefile")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
+
+
+def run_figures(options: argparse.Namespace) -> int:
+    """Make figures and tables; returns the exit status. Raises FipError."""
+    if options.make:
+        print(makefile(), end="")
+        return 0
+    if options.list:
+        for name, product in PRODUCTS.items():
+            print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
+        return 0
+    if unknown := [name for name in options.names if name not in PRODUCTS]:
+        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(PRODUCTS)}")
+    for name in options.names or PRODUCTS:
+        print("wrote", *write(name, make(name, options.data), options.output), flush=True)
+    return 0
+
+
+def add_arguments_claims(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip claims``."""
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder of claims.csv and claims.txt")
+    parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder of the LaTeX files")
+
+
+def run_claims(options: argparse.Namespace) -> int:
+    """Judge every claim and write the ledger; returns the exit status. Raises FipError."""
+    from fiplib.reproduction import ledger
+
+    rows = ledger.evaluate(options.data)
+    print("wrote", *ledger.write(rows, options.output, options.generated, facts(options.data)))
+    return 0
+
+
+def add_arguments_sweep(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip sweep``."""
+    from fiplib.studies import sweep
+
+    sweep.add_arguments(parser, STUDIES)
+
+
+def run_sweep(options: argparse.Namespace) -> int:
+    """Run studies; returns the exit status. Raises FipError."""
+    from fiplib.studies import sweep
+
+    return sweep.run(options, STUDIES)
