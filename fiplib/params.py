@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 
 class FipError(Exception):
-    """A user's mistake, in one sentence."""
+    """A user's mistake, in one sentence that says what to do."""
 
 
 class Signal(NamedTuple):

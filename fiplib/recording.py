@@ -1,5 +1,7 @@
 """What a flight leaves behind: frames, signals, events, and what they are recorded to."""
 
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -7,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib.params import NANO, STATE_NAMES, STATES, Params
+from fiplib.params import NANO, STATE_NAMES, STATES, FipError, Params
 
 
 class Measurement(NamedTuple):
@@ -35,7 +37,7 @@ ATTITUDE = "mavros_msgs/msg/AttitudeTarget"
 LOG = "rcl_interfaces/msg/Log"
 
 
-class BagError(Exception):
+class BagError(FipError):
     """A bag cannot be written or read; the message names the file and the topic and says what to do."""
 
 
@@ -114,13 +116,20 @@ class Series:
 
 
 class Event(NamedTuple):
-    """Something that happened: a disturbance, a failsafe, a change of a parameter."""
+    """Something that happened, as data and in words.
+
+    What ``data`` holds, by ``kind``: "push" (on the rod's COM) ``impulse``, [x, y] in N s, and ``duration`` in s;
+    "length" (prescribed) ``length`` in m; "status" (of the MPC) ``status``; "refusal" (of an estimate) ``reason``;
+    "mode" (of the failsafe) ``from``, ``to`` and ``reason``; "fall" and "note" nothing.
+    """
 
     stamp: int
     """ns"""
     level: str
-    """A key of ``recorder.LEVELS``, or the number in the message if it is none of them."""
+    """A key of ``LEVELS``, or the number in the message if it is none of them."""
     text: str
+    kind: str = "note"
+    data: Mapping[str, Any] = {}
 
 
 class TopicInfo(NamedTuple):
@@ -165,6 +174,11 @@ class Flight:
         return (max(int(body.stamp[-1]) for body in (self.vehicle, self.pendulum)) - self.start_ns) / NANO
 
     @property
+    def survived(self) -> bool:
+        """Whether no fall was recorded: rod and vehicle were up to the end."""
+        return all(event.kind != "fall" for event in self.events)
+
+    @property
     def simulated(self) -> bool:
         """Whether a simulator made this flight. Every figure and number made from it must say so."""
         return self.metadata["origin"] == "simulated"
@@ -177,82 +191,108 @@ class Flight:
         except (ValueError, TypeError, AttributeError) as error:
             raise BagError(f"{self.path}: its parameters are not those of this version of fiplib ({error})") from error
 
-    def why_not_refit(self) -> str | None:
-        """None if the length can be estimated from this flight, else one sentence that says why not."""
-        if self.command is None:
-            return (
-                f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
-                "record them, or say under which name they are recorded."
-            )
-        estimation = self.params.estimation
-        window = (estimation.window - 1) * estimation.sample_period
-        common = min(self.command.stamp[-1], self.vehicle.stamp[-1], self.pendulum.stamp[-1])
-        common = (common - max(self.command.stamp[0], self.vehicle.stamp[0], self.pendulum.stamp[0])) / NANO
-        if common < window:
-            return (
-                f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
-                f"{window:.1f} s: record a longer flight, or take a shorter window."
-            )
-        return None
-
 
 EPOCH = 1_767_225_600 * NANO
 """Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
 
 
 class Recorder(Protocol):
-    """What a flight is written to; times in ns. ``bags.Recorder`` writes a ROS 2 bag, ``MemoryRecorder`` keeps arrays."""
+    """Where a flight is written to; times in ns. ``bags.BagRecorder`` writes a ROS 2 bag."""
+
+    @property
+    def failed(self) -> str | None:
+        """Why the recording stopped, in one sentence; ``None`` while it goes on."""
+        ...
 
     def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
     def state(self, stamp: int, values: ArrayLike) -> None: ...
     def reference(self, stamp: int, values: ArrayLike) -> None: ...
     def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
     def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
-    def event(self, stamp: int, level: str, text: str) -> None: ...
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None: ...
     def truth(self, stamp: int, values: ArrayLike) -> None: ...
     def truth_length(self, stamp: int, length: float) -> None: ...
 
 
 class MemoryRecorder:
-    """A recorder in memory: ``tape["state"]`` is an array of (time in s since the start, values...).
+    """Keeps a flight in memory, and hands it on to another recorder if there is one.
 
-    ``stamps`` and ``values`` hold the same by topic, times in ns; ``replay.flight_of`` makes a ``Flight`` of them.
+    ``events`` are those so far; ``flight`` is all.
     """
 
-    def __init__(self) -> None:
-        self.stamps: dict[str, list[int]] = {}
-        self.values: dict[str, list[tuple[float, ...]]] = {}
-        self.events: list[tuple[int, str, str]] = []
+    def __init__(self, other: Recorder | None = None) -> None:
+        self._other = other
+        self._stamps: defaultdict[str, list[int]] = defaultdict(list)
+        self._values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
+        self.events: list[Event] = []
+
+    @property
+    def failed(self) -> str | None:
+        return self._other.failed if self._other else None
 
     def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self.stamps.setdefault(topic, []).append(stamp)
-        self.values.setdefault(topic, []).append(values)
+        self._stamps[topic].append(stamp)
+        self._values[topic].append(values)
 
     def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
         self._add(body, stamp, *position, *orientation)
-        self.stamps.setdefault(f"{body} received", []).append(received)
+        self._stamps[f"{body} received"].append(received)
+        if self._other:
+            self._other.pose(body, stamp, received, position, orientation)
 
     def state(self, stamp: int, values: ArrayLike) -> None:
         self._add("state", stamp, *values)
+        if self._other:
+            self._other.state(stamp, values)
 
     def reference(self, stamp: int, values: ArrayLike) -> None:
         self._add("reference", stamp, *values)
+        if self._other:
+            self._other.reference(stamp, values)
 
     def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
         self._add("command", stamp, *rates, thrust)
+        if self._other:
+            self._other.command(stamp, rates, thrust)
 
     def length(self, stamp: int, used: float, raw: float, std: float) -> None:
         self._add("length", stamp, used, raw, std)
+        if self._other:
+            self._other.length(stamp, used, raw, std)
 
-    def event(self, stamp: int, level: str, text: str) -> None:
-        self.events.append((stamp, level, text))
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
+        self.events.append(Event(stamp, level, text, kind, data or {}))
+        if self._other:
+            self._other.event(stamp, level, text, kind, data)
 
     def truth(self, stamp: int, values: ArrayLike) -> None:
         self._add("truth_state", stamp, *values)
+        if self._other:
+            self._other.truth(stamp, values)
 
     def truth_length(self, stamp: int, length: float) -> None:
         self._add("truth_length", stamp, length)
+        if self._other:
+            self._other.truth_length(stamp, length)
 
-    def __getitem__(self, topic: str) -> NDArray:
-        seconds = (np.array(self.stamps.get(topic, []), dtype=np.int64) - EPOCH) / NANO
-        return np.column_stack([seconds, np.array(self.values.get(topic, []))]) if len(seconds) else np.zeros((0, 0))
+    def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
+        """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
+        stamps = {role: np.array(known, np.int64) for role, known in self._stamps.items()}
+        values = {role: np.array(known, np.float64) for role, known in self._values.items()}
+        for array in (*stamps.values(), *values.values()):
+            array.flags.writeable = False
+        bodies = {
+            body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
+            for body in ("vehicle", "pendulum")
+        }
+        series = {
+            role: Series(stamps[role], values[role], entry.names, entry.units) if role in stamps else None
+            for role, entry in ROLES.items()
+            if role not in (*bodies, "events")
+        }
+        start = int(min(poses.stamp[0] for poses in bodies.values()))
+        return Flight(Path(path), metadata, events=tuple(self.events), start_ns=start, topics=(), **bodies, **series)

@@ -7,7 +7,6 @@ which windows another estimator would have been given.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,7 @@ from fiplib.estimators.windows import SAMPLERS, RawSampler, RawSchedule, RawWind
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATE_NAMES, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
-from fiplib.recording import ROLES, BagError, Event, Flight, Measurement, MemoryRecorder, Poses, Series
-from fiplib.simulate import Scenario
+from fiplib.recording import ROLES, TOPICS, BagError, Flight, Measurement, Series
 
 
 class TimedWindow(NamedTuple):
@@ -29,32 +27,23 @@ class TimedWindow(NamedTuple):
     window: Window | RawWindow
 
 
-def flight_of(tape: MemoryRecorder, scenario: Scenario) -> Flight:
-    """A simulated flight kept in memory, as ``bags.read`` gives it from its bag: what sweeps work on."""
-
-    def poses(body: str) -> Poses:
-        values = np.array(tape.values[body])
-        stamps = (np.array(tape.stamps[name], dtype=np.int64) for name in (body, f"{body} received"))
-        return Poses(*stamps, values[:, :3], values[:, 3:])
-
-    def series(role: str) -> Series | None:
-        if role not in tape.values:
-            return None
-        stamp, values = np.array(tape.stamps[role], dtype=np.int64), np.array(tape.values[role])
-        return Series(stamp, values, ROLES[role].names, ROLES[role].units)
-
-    vehicle = poses("vehicle")
-    others = ("state", "command", "reference", "length", "truth_state", "truth_length")
-    return Flight(
-        path=Path(scenario.name),
-        metadata=scenario.metadata(),
-        vehicle=vehicle,
-        pendulum=poses("pendulum"),
-        events=tuple(Event(*event) for event in tape.events),
-        start_ns=int(vehicle.stamp[0]),
-        topics=(),
-        **{role: series(role) for role in others},
-    )
+def why_not_refit(flight: Flight) -> str | None:
+    """None if the length can be estimated from this flight, else one sentence that says why not."""
+    if flight.command is None:
+        return (
+            f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
+            "record them, or say under which name they are recorded."
+        )
+    estimation = flight.params.estimation
+    window = (estimation.window - 1) * estimation.sample_period
+    common = min(flight.command.stamp[-1], flight.vehicle.stamp[-1], flight.pendulum.stamp[-1])
+    common = (common - max(flight.command.stamp[0], flight.vehicle.stamp[0], flight.pendulum.stamp[0])) / NANO
+    if common < window:
+        return (
+            f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
+            f"{window:.1f} s: record a longer flight, or take a shorter window."
+        )
+    return None
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
@@ -187,7 +176,7 @@ def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
     params = params or flight.params
     raw = estimator_of(params).kind == "raw"
     # how long a flight must be is another matter with raw windows, which grow
-    if (reason := flight.why_not_refit()) and not (raw and flight.command is not None):
+    if (reason := why_not_refit(flight)) and not (raw and flight.command is not None):
         raise BagError(f"{flight.path}: {reason}")
     assert flight.command is not None  # else there was a reason
     if raw:
@@ -229,7 +218,7 @@ def raw_windows(flight: Flight, seconds: float, every: float) -> list[tuple[int,
     Raises:
         BagError: the bag cannot be refitted; the message says why.
     """
-    if reason := flight.why_not_refit():
+    if reason := why_not_refit(flight):
         raise BagError(f"{flight.path}: {reason}")
     assert flight.command is not None  # else there was a reason
     stamps, values = flight.command.stamp, flight.command.values

@@ -1,6 +1,6 @@
 """A recorder for flights in real time: a second behind at most, and never in the way of the control.
 
-``LiveRecorder`` takes the same calls as ``Recorder`` and hands the bytes to a process of its own, through a pipe and
+``LiveRecorder`` takes the same calls as ``BagRecorder`` and hands the bytes to a process of its own, through a pipe and
 without ever waiting. That process sorts, compresses and writes them, four times a second, in chunks of which each can
 be read without the others: whatever is killed in flight leaves a file that ``python -m fiplib.bags.reader recover`` reads. If
 only the script dies, the process finishes the bag properly.
@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from operator import itemgetter
@@ -52,7 +52,7 @@ _END = 255  # in place of a role: the flight was recorded to its end
 
 
 class LiveRecorder(BagRecorder):
-    """Records a flight in real time; calls, metadata and bag are those of ``Recorder``.
+    """Records a flight in real time; calls, metadata and bag are those of ``BagRecorder``.
 
     In flight no method raises and none waits: what cannot be recorded is dropped. If the recording stops (a full disk,
     a killed process), ``failed`` says why in one sentence, which ``close`` raises as a BagError when the flight is over
@@ -62,8 +62,6 @@ class LiveRecorder(BagRecorder):
         BagError: the recording cannot begin: the path exists already, cannot be written, or the metadata are not fit.
     """
 
-    failed: str | None = None
-    """Why the recording stopped, or None."""
     dropped: int = 0
     """Messages that were not recorded, for whatever reason."""
     refused: str | None = None
@@ -108,9 +106,11 @@ class LiveRecorder(BagRecorder):
         except Exception as error:  # whatever it is: a flight is not ended by its recording
             self._refuse(error)
 
-    def event(self, stamp: int, level: str, text: str) -> None:
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
         try:
-            super().event(stamp, level, text)
+            super().event(stamp, level, text, kind, data)
         except Exception as error:
             self._refuse(error)
 

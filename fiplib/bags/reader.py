@@ -6,6 +6,7 @@ bag is one ``BagError`` that names the file and the topic and says what to do.
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -63,7 +64,9 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
     for role, received in messages.items():
         if received:
             try:
-                decoded[role] = _events(received) if role == "events" else _decode(role, received)
+                decoded[role] = (
+                    _events(received, metadata.get("pushes")) if role == "events" else _decode(role, received)
+                )
             except Exception as error:  # whatever the library raises on damaged bytes
                 raise BagError(f"{path}: topic {names[role]} ({role}): {_line(error)}") from error
     return Flight(
@@ -230,15 +233,39 @@ def _decode_one_by_one(message_type: str, data: Sequence[bytes]) -> tuple[np.nda
     return np.array(stamps, np.int64), np.array(rows, np.float64)
 
 
-def _events(received: _Received) -> tuple[Event, ...]:
+def _events(received: _Received, pushes: Any) -> tuple[Event, ...]:
     levels = {number: name for name, number in LEVELS.items()}
     messages = [typestore().deserialize_cdr(data, ROLES["events"].type) for _, data in received]
     stamps = np.array([message.stamp.sec * NANO + message.stamp.nanosec for message in messages], np.int64)
     _check_stamps(stamps, strict=False)
-    return tuple(
-        Event(int(stamp), levels.get(message.level, str(message.level)), message.msg)
-        for stamp, message in zip(stamps, messages, strict=True)
-    )
+    events, left = [], [push for push in pushes if isinstance(push, dict)] if isinstance(pushes, list) else []
+    for stamp, message in zip(stamps, messages, strict=True):
+        if message.name == "fip" and message.function:
+            kind, data = message.function, json.loads(message.file or "{}")
+        else:
+            kind, data = _event_from_words(message.msg, left)
+        events.append(Event(int(stamp), levels.get(message.level, str(message.level)), message.msg, kind, data))
+    return tuple(events)
+
+
+_WORDS = {
+    "push": r"push",
+    "length": r"pilot is told the length (?P<length>[-+.\de]+) m",
+    "fall": r"rod or vehicle fell",
+    "status": r"MPC status (?P<status>.*)",
+    "refusal": r"no estimate: (?P<reason>.*)",
+    "mode": r"failsafe: (?P<from>.*) -> (?P<to>.*?): (?P<reason>.*)",
+}
+
+
+def _event_from_words(text: str, pushes: list[dict[str, Any]]) -> tuple[str, dict[str, Any]]:
+    """Kind and data of an event that is a sentence only, as they all were once; takes a push from the list."""
+    for kind, pattern in _WORDS.items():
+        if found := re.match(pattern, text, re.DOTALL):
+            if kind == "push":
+                return kind, {key: value for key, value in pushes.pop(0).items() if key != "start"} if pushes else {}
+            return kind, {"length": float(found["length"])} if kind == "length" else found.groupdict()
+    return "note", {}
 
 
 def _check_stamps(stamp: np.ndarray, strict: bool) -> None:
@@ -260,6 +287,3 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 def _line(error: BaseException) -> str:
     """The words of an error on one line; its kind if it has none."""
     return " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__
-
-
-# --- command line --------------------------------------------------------------------------------------------------

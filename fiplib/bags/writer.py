@@ -70,6 +70,8 @@ class BagRecorder:
         BagError: the path exists already, cannot be written, or the metadata are not fit.
     """
 
+    failed: str | None = None
+    """``LiveRecorder`` says here why the recording stopped; this one raises."""
     _REORDER = 2048  # messages held back to be sorted, about 2 s of flight: more than any latency between two topics
 
     def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
@@ -131,13 +133,19 @@ class BagRecorder:
         """True length of the rod in m. Simulator only."""
         self._numbers("truth_length", stamp, (length, 0.0, 0.0))
 
-    def event(self, stamp: int, level: str, text: str) -> None:
-        """Something worth a word: ``level`` is a key of ``LEVELS``."""
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
+        """Something that happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
         if level not in LEVELS:
             raise BagError(f"{self.path}: no such level {level!r} of an event; levels are {', '.join(LEVELS)}")
         stamp = self._time(stamp)
         time = typestore().types["builtin_interfaces/msg/Time"](*divmod(stamp, NANO))
-        message = typestore().types[LOG](time, LEVELS[level], "fip", text, "", "", 0)
+        try:
+            words = json.dumps(data, separators=(",", ":"), allow_nan=False) if data else ""
+        except (TypeError, ValueError) as error:
+            raise BagError(f"{self.path}: the data of an event ({kind}) do not fit into JSON ({error})") from error
+        message = typestore().types[LOG](time, LEVELS[level], "fip", text, words, kind, 0)
         self._put("events", stamp, bytes(typestore().serialize_cdr(message, LOG)))
 
     def _time(self, stamp: int) -> int:

@@ -30,6 +30,7 @@ from fiplib.flight.loop import FlightLoop
 from fiplib.flight.operator import Operator
 from fiplib.flight.sender import urgent
 from fiplib.params import Params, assignment
+from fiplib.recording import Flight
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -47,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.link == "sim" and not (options.real_time or options.failsafe):
             if (scenario.params.safety, scenario.params.radio) != (Params().safety, Params().radio):
                 raise ValueError("--set safety or radio: they fly with --real-time, --failsafe or --link crsf only")
-            outcome, seconds = fly(scenario, output)
+            flight, seconds = fly(scenario, output)
         else:
             return fly_safely(scenario, output, options)
     except (ValueError, bags.BagError, LinkError, OSError) as error:
@@ -57,8 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"fly.py: interrupted; what was flown until then is in {output}", file=sys.stderr)
         return 130
     with contextlib.suppress(OSError):  # the terminal may be gone
-        end = "still balanced" if outcome.survived else "FELL"
-        print(f"simulated {outcome.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
+        end = "still balanced" if flight.survived else "FELL"
+        print(f"simulated {flight.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
     return 0
 
 
@@ -114,15 +115,15 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() and {entry.suffix for entry in path.iterdir()} <= {".mcap", ".yaml"}
 
 
-def fly(scenario: simulate.Scenario, output: Path) -> tuple[simulate.Outcome, float]:
-    """Fly and record; returns how the flight ended and how long it took in s."""
+def fly(scenario: simulate.Scenario, output: Path) -> tuple[Flight, float]:
+    """Fly and record; returns the flight and how long it took in s."""
     started = time.perf_counter()
     with (
         bags.BagRecorder(output, scenario.metadata()) as recorder,
         tqdm(total=round(scenario.duration), unit="s", desc=scenario.name, disable=None, leave=False) as bar,
     ):
-        outcome = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
-    return outcome, time.perf_counter() - started
+        flight = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
+    return flight, time.perf_counter() - started
 
 
 def fly_safely(scenario: simulate.Scenario, output: Path, options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ The same loop flies in virtual time (``links.sim.VirtualLink``, ``simulate.Simul
 import gc
 import math
 from collections import deque
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,13 +20,20 @@ from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.kalman import Window
 from fiplib.params import NANO
 from fiplib.recording import Recorder
-from fiplib.simulate import Outcome, Scenario
+from fiplib.simulate import Scenario
 
 
 class Beside(Protocol):
     """An estimator beside the flight: ``estimator_process.EstimatorProcess`` or the simulator's."""
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None: ...
+
+
+class Outcome(NamedTuple):
+    """How a flight ended: seconds flown, and whether it flew on until the scenario was over."""
+
+    duration: float
+    survived: bool
 
 
 class Clockwork:

@@ -60,10 +60,10 @@ def fall_time(flight: Flight) -> float:
 
 
 def push_times(flight: Flight) -> list[float]:
-    """Times in s of the events that begin with "push". Raises BagError if there are none."""
-    times = [flight.time(event) for event in flight.events if event.text.startswith("push")]
+    """Times in s of the pushes that were recorded. Raises BagError if there are none."""
+    times = [flight.time(event) for event in flight.events if event.kind == "push"]
     if not times:
-        raise BagError(f"{flight.path}: no event on {TOPICS['events']} begins with 'push': when was it pushed?")
+        raise BagError(f"{flight.path}: no push is recorded on {TOPICS['events']}: when was it pushed?")
     return times
 
 

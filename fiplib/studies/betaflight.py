@@ -41,14 +41,14 @@ from fiplib.estimators.likelihood import maximum_likelihood
 from fiplib.flight.betaflight import airframe as model
 from fiplib.flight.betaflight.airframe import Airframe, MotorPlant
 from fiplib.flight.failsafe import Guard
-from fiplib.flight.links.simulated import GROUND, SimulatedVehicle, VirtualLink
-from fiplib.flight.loop import FlightLoop
+from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
+from fiplib.flight.loop import FlightLoop, Outcome
 from fiplib.flight.radio import Encoder
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
 from fiplib.params import NANO, Params, assignment
 from fiplib.pilot import Hover
 from fiplib.recording import Measurement
-from fiplib.simulate import Outcome, Scenario
+from fiplib.simulate import GROUND, Push, Scenario
 from fiplib.studies.estimators import summarise
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -290,8 +290,8 @@ def free_ports() -> tuple[socket.socket, int]:
     raise FirmwareError("no free ports between 5761 and 29004 on the loopback interface")
 
 
-class FirmwareVehicle(SimulatedVehicle):
-    """``SimulatedVehicle`` with motors, flown by a firmware that takes setpoints as CRSF channels."""
+class FirmwareVehicle(HeldVehicle):
+    """The simulated vehicle with motors, flown by a firmware that takes setpoints as CRSF channels."""
 
     def __init__(self, scenario: Scenario, inner: model.Firmware, airframe: Airframe) -> None:
         super().__init__(scenario)
@@ -299,14 +299,14 @@ class FirmwareVehicle(SimulatedVehicle):
         start, lean = self.plant.x[:3].copy(), self.plant.truth()[[4, 6]]
         idle = self._encoder.channels(0, disarmed(0))
         self.plant: MotorPlant = MotorPlant(scenario.params, start, lean, inner, airframe, idle)
-        frames = round(WARM_UP * self._rate)
+        frames = round(WARM_UP * self.rate)
         for _ in range(frames):
             self.plant.advance()
 
     def command(self, setpoint: Setpoint, at: int | None = None) -> None:
         self.plant.channels(self._encoder.channels(setpoint.stamp, setpoint))
 
-    def advance(self) -> str | None:
+    def advance(self) -> Push | None:
         if self.plant.x[2] < GROUND:
             self.plant.held = True
         if self.plant.held:
@@ -320,7 +320,7 @@ class FirmwareVehicle(SimulatedVehicle):
         """Whether the motors stop within 0.1 s of a disarm frame."""
         self.command(disarmed(0))
         self.plant.held = True
-        for _ in range(round(0.1 * self._rate)):
+        for _ in range(round(0.1 * self.rate)):
             self.plant.advance()
         return not self.plant.outputs.any()
 

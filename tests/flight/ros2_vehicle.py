@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.flight.links.ros2 import urgent_threads
-from fiplib.flight.links.simulated import SimulatedVehicle
+from fiplib.flight.links.simulated import HeldVehicle
 from fiplib.flight.sender import urgent
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO
@@ -124,7 +124,7 @@ def fly(scenario: Scenario, peer: Peer) -> dict[str, float | int | None]:
         flight until the first such, and until rod or vehicle had fallen; greatest lean of both until then, m and rad.
         Through ROS also: states heard, and the newest length in use.
     """
-    vehicle, params = SimulatedVehicle(scenario), scenario.params
+    vehicle, params = HeldVehicle(scenario), scenario.params
     rate, simulation = params.piloting.mocap_rate, params.simulation
     latency = round(simulation.mocap_latency * NANO)
     late = commands = refused = disarms = 0

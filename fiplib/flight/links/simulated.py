@@ -9,13 +9,11 @@ vehicle is held in place until it is first commanded with armed motors.
 import argparse
 import functools
 import gc
-import math
 import multiprocessing
 import select
 import socket
 import struct
 import time
-from collections import deque
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
@@ -28,61 +26,20 @@ from fiplib.flight.sender import Sender, SenderError, decode, encode, ignore_the
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO
 from fiplib.recording import EPOCH, Measurement
-from fiplib.simulate import Mocap, Plant, Scenario
+from fiplib.simulate import Scenario, SimulatedVehicle
 
 FRAME = struct.Struct("<q25d")
 """A frame on its way to the pilot: stamp, the 14 numbers of two poses, the 11 of the true state."""
-GROUND = 0.05
-"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
-NOISE_FRAMES = 240
-"""Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame."""
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
 
 
-class SimulatedVehicle:
-    """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first armed."""
+class HeldVehicle(SimulatedVehicle):
+    """The simulated vehicle, held in place until first commanded with armed motors."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._params, self._rate = scenario.params, scenario.params.piloting.mocap_rate
-        self._rng = np.random.default_rng(scenario.seed)
-        start = scenario.reference.at(np.zeros(1))[0]
-        lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
-        self.plant = Plant(self._params, (start[0], start[2], scenario.reference.height), lean)
-        self._pushes = deque(scenario.pushes)
-        self._frames = 0
-        self.flown: int | None = None
-        """Frames since it was first armed; ``None`` before."""
-
-    def measure(self, stamp: int) -> Measurement:
-        """The frame exposed now."""
-        index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
-        if index == 0:
-            self._mocap = Mocap(self._params, NOISE_FRAMES, self._rng)
-        return self._mocap.frame(index, stamp, self.plant.x)
-
-    def command(self, setpoint: Setpoint, at: int | None = None) -> None:
-        """Take a setpoint, to act after the usual delay or at a substep of the plant."""
-        if setpoint.armed and self.flown is None:
-            self.flown = 0
-        if self.flown is not None:
-            self.plant.command(setpoint.body_rate, setpoint.thrust * self._params.vehicle.max_thrust, at)
-
-    def advance(self) -> str | None:
-        """One frame further; the words for an event, if something happens."""
-        if self.flown is None or self.plant.x[2] < GROUND:
-            return None
-        seconds, force, said = self.flown / self._rate, np.zeros(3), None
-        if self._pushes and seconds >= self._pushes[0].start:
-            push = self._pushes[0]
-            if seconds < push.start + 1 / self._rate:
-                said = f"push of {1e3 * math.hypot(*push.impulse):g} mN s on the rod's COM"
-            force[:2] = np.array(push.impulse) / push.duration
-            if seconds >= push.start + push.duration - 1 / self._rate:
-                self._pushes.popleft()
-        self.plant.advance(force)
-        self.flown += 1
-        return said
+    def command(self, command: Setpoint, at: int | None = None) -> None:
+        if command.armed or self.flown is not None:
+            super().command(command, at)
 
 
 class VirtualLink:
@@ -91,7 +48,7 @@ class VirtualLink:
     origin = "simulated"
 
     def __init__(self, scenario: Scenario) -> None:
-        self.vehicle = SimulatedVehicle(scenario)
+        self.vehicle = HeldVehicle(scenario)
         self.truth: NDArray | None = None
         self._rate = scenario.params.piloting.mocap_rate
         self._latency = round(scenario.params.simulation.mocap_latency * NANO)
@@ -242,7 +199,7 @@ def _fly_vehicle(
     urgent(2)
     commands.setblocking(False)
     parent = multiprocessing.parent_process()
-    vehicle = SimulatedVehicle(scenario)
+    vehicle = HeldVehicle(scenario)
     rate, simulation = scenario.params.piloting.mocap_rate, scenario.params.simulation
     latency = round(simulation.mocap_latency * NANO)
     gc.freeze()
