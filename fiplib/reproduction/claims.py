@@ -130,7 +130,8 @@ def pushes_kept(paper: float, flight: Flight) -> Finding:
 def push_lean(paper: float, flight: Flight) -> Finding:
     """D2: max(|a|, |b|) from the first push on, m."""
     largest = float(lean(flight)[flight.time(flight.state) >= push_times(flight)[0]].max())
-    impulses = [1e3 * math.hypot(*push["impulse"]) for push in flight.metadata.get("pushes", ())]
+    known = (event.data.get("impulse") for event in flight.events if event.kind == "push")
+    impulses = [1e3 * math.hypot(*impulse) for impulse in known if impulse]
     words = "The paper does not say how hard it pushed. Our pushes were chosen to lead about as far; what is tested is"
     words += " that the rod comes back from there"
     met = math.isinf(fall_time(flight)) and about(largest, paper)

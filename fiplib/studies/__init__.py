@@ -12,7 +12,11 @@ outside its tables. A second study in a module is a class with these as static m
 """
 
 import pkgutil
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fiplib.recording import Flight
+    from fiplib.simulate import Scenario
 
 
 def load(address: str) -> Any:
@@ -23,3 +27,8 @@ def load(address: str) -> Any:
 def run(address: str, case: dict) -> dict:
     """Run one case of the study at an address: all that a worker knows of it."""
     return load(address).run(case)
+
+
+def seconds_flown(flight: "Flight", scenario: "Scenario") -> float:
+    """Seconds until the fall, or the whole duration of the scenario."""
+    return scenario.duration if flight.survived else flight.duration

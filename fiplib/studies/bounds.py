@@ -25,11 +25,10 @@ from functools import cache
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiplib import replay
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION
 from fiplib.params import NANO, Params
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Facts
@@ -87,10 +86,10 @@ def flown(excitation: str, rod: str) -> Flight:
     params = Params().replace(pendulum__gyration_ratio=RODS[rod])
     seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
     scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    tape = MemoryRecorder()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}")
-    return replay.flight_of(tape, scenario)
+    return flight
 
 
 def fig12_bound(rows: Rows) -> Figure:

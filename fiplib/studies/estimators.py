@@ -26,7 +26,7 @@ from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
@@ -62,8 +62,8 @@ def cases() -> list[dict]:
 
 def run(case: dict) -> dict[str, float | int | str]:
     """Fly the case, ask every estimator, hold the answers against the bound."""
-    flight, survived = _flown(case)
-    row: dict[str, float | int | str] = {"survived": int(survived)}
+    flight = _flown(case)
+    row: dict[str, float | int | str] = {"survived": int(flight.survived)}
     params = flight.params
     for kind, (seconds, kept) in windows_of(flight).items():
         bounds: dict[tuple[str, ...], float] = {}
@@ -120,7 +120,7 @@ def summarise(answers: list[Estimate], truth: float) -> dict[str, float | int]:
     }
 
 
-def _flown(case: dict) -> tuple[Flight, bool]:
+def _flown(case: dict) -> Flight:
     seed = int(case["seed"])
     params = Params().replace(
         pendulum__gyration_ratio=float(case["gyration_ratio"]), piloting__initial_length=(0.9, 1.0, 1.1)[seed % 3]
@@ -128,10 +128,7 @@ def _flown(case: dict) -> tuple[Flight, bool]:
     kind = case["excitation"]
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
-    scenario = Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)
-    tape = MemoryRecorder()
-    outcome = fly(scenario, tape)
-    return replay.flight_of(tape, scenario), outcome.survived
+    return fly(Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed))
 
 
 def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, ...]) -> float:

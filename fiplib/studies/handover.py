@@ -21,11 +21,11 @@ from matplotlib.figure import Figure
 
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.recording import MemoryRecorder
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("policy", "index")
 """In this order: the gains that the genetic algorithm keeps between windows are those of one fitness."""
@@ -86,18 +86,18 @@ def run(case: dict) -> dict[str, float | int | str]:
         piloting__initial_length=true if told else case["initial_length"],
         **POLICIES[case["policy"]],
     )
-    tape = MemoryRecorder()
-    outcome = fly(Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"]), tape)
-    times, used = tape["length"][:, 0], tape["length"][:, 1]
+    scenario = Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"])
+    flight = fly(scenario)
+    times, used = flight.time(flight.length), flight.length.column("used")
     return {
         "initial_length": case["initial_length"],
         "true_length": true,
-        "survived": int(outcome.survived),
-        "seconds": outcome.duration,
+        "survived": int(flight.survived),
+        "seconds": seconds_flown(flight, scenario),
         "settled": settled(times, used / true),
         "used_length": float(used[-1]),
         "longest_used": float((used / true).max()),
-        "largest_lean": float(np.abs(tape["truth_state"][:, [1 + A, 1 + B]]).max()),
+        "largest_lean": float(np.abs(flight.truth_state.values[:, [A, B]]).max()),
     }
 
 

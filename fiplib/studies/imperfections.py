@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from fiplib import replay
 from fiplib.estimators import ESTIMATORS
 from fiplib.params import Params
 from fiplib.pilot import Circle
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Plant, Scenario, fly
@@ -102,8 +101,8 @@ def cases() -> list[dict]:
 
 def run(case: dict) -> dict[str, float | int]:
     """Fly the case and ask the estimators."""
-    flight, survived = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
-    params, row = flight.params, {"survived": int(survived)}
+    flight = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
+    params, row = flight.params, {"survived": int(flight.survived)}
     windows = windows_of(flight)
     for name in NAMES:
         _, given = windows[ESTIMATORS[name].kind]
@@ -113,19 +112,15 @@ def run(case: dict) -> dict[str, float | int]:
     return row
 
 
-def flown(imperfection: Imperfection, seed: int) -> tuple[Flight, bool]:
-    """A flight of 1 m of uniform rod, the true length in use, as the estimators read it; whether it stayed up."""
+def flown(imperfection: Imperfection, seed: int) -> Flight:
+    """A flight of 1 m of uniform rod, the true length in use, as the estimators read it."""
     scenario = Scenario("circle", "", DURATION, CIRCLE, params=Params(), seed=40_000 + seed)
 
     def vehicle(params: Params, position: ArrayLike, lean: ArrayLike) -> Plant:
         return ImperfectPlant(params, position, lean, imperfection=imperfection, seed=scenario.seed)
 
-    tape = MemoryRecorder()
-    outcome = fly(scenario, tape, vehicle=vehicle)
-    flight = replay.flight_of(tape, scenario)
-    if imperfection.marker or imperfection.mount:
-        flight = misread(flight, imperfection)
-    return flight, outcome.survived
+    flight = fly(scenario, vehicle=vehicle)
+    return misread(flight, imperfection) if imperfection.marker or imperfection.mount else flight
 
 
 def misread(flight: Flight, imperfection: Imperfection) -> Flight:

@@ -21,7 +21,7 @@ from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Table, number
@@ -143,10 +143,10 @@ def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
     scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    tape = MemoryRecorder()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
-    return replay.flight_of(tape, scenario)
+    return flight
 
 
 def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArray, NDArray]:

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fiplib import replay
 from fiplib.params import Y_DOT, Params, Y
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Table, number
 from fiplib.simulate import SCENARIOS, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("variant", "scenario", "seed")
 """``variant`` is a name in ``VARIANTS``, ``scenario`` one in ``simulate.SCENARIOS``."""
@@ -108,19 +108,17 @@ def run(case: dict) -> dict[str, float | int | str]:
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
-    tape = MemoryRecorder()
-    outcome = fly(scenario, tape)
-    flight = replay.flight_of(tape, scenario)
+    flight = fly(scenario)
     row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)
-    row = {"survived": int(outcome.survived), "flown": outcome.duration, **row}
-    if outcome.survived or scenario.told_lengths:
+    row = {"survived": int(flight.survived), "flown": seconds_flown(flight, scenario), **row}
+    if flight.survived or scenario.told_lengths:
         for column, id in ROWS[scenario.name].items():
             if column == "tracking" and not updated_on_the_circle(flight):
                 continue
             claim = claims.BY_ID[id]
             found = claim.judge(claim.paper, flight)
             row |= {column: found.value, f"holds_{column}": int(found.verdict in claims.HELD)}
-    if outcome.survived and scenario.name in CIRCLE:
+    if flight.survived and scenario.name in CIRCLE:
         errors = measures.tracking_error(flight)[measures.laps(flight).mask]
         x, y = (measures.rms(axis) for axis in errors.T)
         row["axes"] = y / x

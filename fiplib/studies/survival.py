@@ -41,10 +41,10 @@ from matplotlib.figure import Figure
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.recording import MemoryRecorder
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import COLUMN, origin
 from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("used_length", "true_length", "rod")
 """Lengths in m; ``rod`` is a name in ``RODS``."""
@@ -82,11 +82,8 @@ def run(case: dict) -> dict[str, float | int | str]:
     )
     loop = margins.closed_loop(case["used_length"], params)
     low, high = loop.pendulum_share()
-    tapes = [MemoryRecorder() for _ in SEEDS]
-    outcomes = [
-        fly(Scenario("survival", "", SECONDS, CIRCLE, params=params, seed=seed), tape)
-        for seed, tape in zip(SEEDS, tapes, strict=True)
-    ]
+    scenarios = [Scenario("survival", "", SECONDS, CIRCLE, params=params, seed=seed) for seed in SEEDS]
+    flights = [fly(scenario) for scenario in scenarios]
     return {
         "growth_rate": loop.growth_rate,
         "frequency": loop.frequency,
@@ -97,9 +94,9 @@ def run(case: dict) -> dict[str, float | int | str]:
         "pendulum_low": low,
         "pendulum_high": high,
         "offset_gain": float(-loop.gain[2]),
-        "survived": sum(outcome.survived for outcome in outcomes),
-        "flown": min(outcome.duration for outcome in outcomes),
-        "largest_lean": max(float(np.abs(tape["truth_state"][:, [1 + A, 1 + B]]).max()) for tape in tapes),
+        "survived": sum(flight.survived for flight in flights),
+        "flown": min(map(seconds_flown, flights, scenarios)),
+        "largest_lean": max(float(np.abs(flight.truth_state.values[:, [A, B]]).max()) for flight in flights),
     }
 
 

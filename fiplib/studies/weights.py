@@ -31,12 +31,10 @@ from typing import Any
 
 import numpy as np
 
-from fiplib import replay
 from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
 from fiplib.pilot import Circle
-from fiplib.recording import MemoryRecorder
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.claims import Verdict
 from fiplib.reproduction.sources import Rows
@@ -153,24 +151,24 @@ def _starts(params: Params) -> dict[str, float]:
     up, leans = 0, []
     for start in STARTS:
         if start != params.pendulum.length:
-            tape = MemoryRecorder()
             flown = params.replace(piloting__initial_length=start)
             scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
-            up += fly(scenario, tape).survived
-            leans.append(float(measures.lean(replay.flight_of(tape, scenario)).max()))
+            flight = fly(scenario)
+            up += flight.survived
+            leans.append(float(measures.lean(flight).max()))
     return {"starts": up, "start_lean": max(leans)}
 
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
     """The rows of the ledger that are read from this flight; none holds if it falls."""
-    tape = MemoryRecorder()
-    survived = fly(scenario, tape).survived
-    flight = replay.flight_of(tape, scenario)
+    flight = fly(scenario)
     row = {}
     for id in (*NEEDED, *ALSO):
         claim = claims.BY_ID[id]
         if claim.bags == (scenario.name,):
-            found = claim.judge(claim.paper, flight) if survived else claims.Finding(math.nan, Verdict.NOT, "fell")
+            found = (
+                claim.judge(claim.paper, flight) if flight.survived else claims.Finding(math.nan, Verdict.NOT, "fell")
+            )
             row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
     return row
 

@@ -4,7 +4,6 @@ import os
 
 from fiplib.params import Params
 from fiplib.pilot import Hover
-from fiplib.recording import MemoryRecorder
 from fiplib.simulate import Scenario, fly
 
 KEYS = ("length", "seed")
@@ -18,7 +17,6 @@ def run(case: dict) -> dict[str, float | str]:
     if case["seed"] < 0:
         os._exit(1)  # as a segmentation fault or the kernel short of memory end a worker
     params = Params().replace(pendulum__length=case["length"])
-    tape = MemoryRecorder()
-    outcome = fly(Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"]), tape)
-    lean = float(tape["truth_state"][-1, 5])
-    return {"duration": outcome.duration, "survived": outcome.survived, "lean": lean, "lean_bits": lean.hex()}
+    flight = fly(Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"]))
+    lean = float(flight.truth_state.values[-1, 4])
+    return {"duration": flight.duration, "survived": flight.survived, "lean": lean, "lean_bits": lean.hex()}
