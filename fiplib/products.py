@@ -6,9 +6,8 @@ study is one module, as ``fiplib.studies`` describes it, and one line in ``STUDI
 """
 
 import argparse
-import ast
 import pkgutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -160,59 +159,25 @@ def facts(data: Path = Path("data")) -> "Facts":
     }
 
 
-# --- what the Makefile includes
-
-
-def code(*modules: str) -> list[Path]:
-    """The source files that modules of this package are made of: theirs, and those of all that they import.
-
-    Found without importing anything. Imports inside functions count; those for type checkers alone do not.
-    """
-    root = Path(__file__).parents[1]
-    found: dict[str, Path] = {}
-    waiting = list(modules)
-    while waiting:
-        name = waiting.pop()
-        path = root.joinpath(*name.split("."))
-        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        if name in found or not name.startswith("fiplib") or not file.exists():
-            continue
-        found[name] = file.relative_to(root)
-        waiting.append(name.rpartition(".")[0])
-        for node in _executed(ast.parse(file.read_bytes())):
-            if isinstance(node, ast.Import):
-                waiting += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                waiting += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    return sorted(found.values())
-
-
-def _executed(node: ast.AST) -> Iterator[ast.AST]:
-    """A node and all below it, but for what only a type checker reads."""
-    if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
-        yield node
-        for child in ast.iter_child_nodes(node):
-            yield from _executed(child)
-
-
 def makefile(data: Path = Path("data")) -> str:
     """The registry as the Makefile includes it: names, files, and the sources of each product."""
+    from fiplib.reproduction import dependencies
+
     everything = PRODUCTS | {"claims": ledger()}
-    always = [Path("requirements.lock"), Path("fiplib/products.py")]
+    common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
     lines = [
         f"PRODUCTS := {' '.join(PRODUCTS)}",
         f"BAGS := {' '.join(sorted(_united(product.bags for product in everything.values())))}",
+        *(f"files_{name} := {' '.join(f'figures/{name}{suffix}' for suffix in suffixes(name))}" for name in PRODUCTS),
     ]
-    scanned = set(always)
+    scanned = set(common)
     for name, product in everything.items():
-        modules = [product.address.partition(":")[0], "fiplib.reproduction.style", "fiplib.reproduction.sources"]
+        functions = [product.address, *(["fiplib.bags:read"] if product.bags else [])]
         if name == "claims":
-            modules += [STUDIES[study].partition(":")[0] for study in FACTS]
-        files = [*always, *code(*modules)]
+            functions += ["fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in FACTS)]
+        files = dict.fromkeys([*common, *dependencies.files(*functions)])
         scanned.update(files)
-        lines.append(f"sources_{name} := {' '.join(map(str, dict.fromkeys([*files, *product.files(data)])))}")
-    for name in PRODUCTS:
-        lines.append(f"files_{name} := {' '.join(f'figures/{name}{suffix}' for suffix in suffixes(name))}")
+        lines.append(f"sources_{name} := {' '.join(map(str, [*files, *product.files(data)]))}")
     sources = " ".join(sorted(map(str, scanned)))
     # a source without a rule would stop make once it is deleted; with an empty one, this file is made again
     return "\n".join([*lines, f".make/products.mk: {sources}", f"{sources}:", ""])
