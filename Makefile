@@ -106,7 +106,7 @@ stale = $(foreach name,$(PRODUCTS),$(if $(filter $(sources_$(name)),$?)$(call mi
 
 .make/figures: $(sort $(foreach name,$(PRODUCTS),$(sources_$(name)))) $(if $(call missing,$(FIGURE_FILES)),absent) | .venv/installed
 	@touch $@.begun
-	$(PY) -m fiplib figures $(stale)
+	$(PY) -m fiplib figures $(strip $(stale))
 	@mv $@.begun $@
 
 .make/claims: $(sources_claims) $(if $(call missing,$(CLAIM_FILES)),absent) | .venv/installed
