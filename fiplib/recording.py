@@ -1,13 +1,13 @@
 """What a flight leaves behind: frames, signals, events, and what they are recorded to."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fiplib.params import NANO, STATE_NAMES, STATES, FipError, Params
 
@@ -27,13 +27,9 @@ class Measurement(NamedTuple):
 
 
 POSE = "geometry_msgs/msg/PoseStamped"
-
 POINT = "geometry_msgs/msg/PointStamped"
-
 JOINTS = "sensor_msgs/msg/JointState"
-
 ATTITUDE = "mavros_msgs/msg/AttitudeTarget"
-
 LOG = "rcl_interfaces/msg/Log"
 
 
@@ -52,7 +48,6 @@ class Role(NamedTuple):
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("m", "m", "m", "1", "1", "1", "1")
-
 _STATE_UNITS = tuple(signal.unit for signal in STATES)
 
 ROLES = {
@@ -197,70 +192,77 @@ EPOCH = 1_767_225_600 * NANO
 
 
 class Recorder(Protocol):
-    """Where a flight is written to; times in ns. ``bags.BagRecorder`` writes a ROS 2 bag."""
+    """Where a flight is written to. Stamps are int nanoseconds; ``bags.BagRecorder`` writes a ROS 2 bag.
 
-    @property
-    def failed(self) -> str | None:
-        """Why the recording stopped, in one sentence; ``None`` while it goes on."""
+    A recorder takes ``numbers`` and events; the other methods say which numbers those are.
+    """
+
+    failed: str | None = None
+    """Why the recording stopped, in one sentence; ``None`` while it goes on."""
+
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+        """Take one message: the numbers that ``ROLES`` names, and for a pose the time at which it was received."""
         ...
 
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
-    def state(self, stamp: int, values: ArrayLike) -> None: ...
-    def reference(self, stamp: int, values: ArrayLike) -> None: ...
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
     def event(
         self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
-    ) -> None: ...
-    def truth(self, stamp: int, values: ArrayLike) -> None: ...
-    def truth_length(self, stamp: int, length: float) -> None: ...
+    ) -> None:
+        """Take what happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
+        ...
+
+    def pose(
+        self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
+    ) -> None:
+        """Pose of ``vehicle`` or ``pendulum``: position (3,) in m, quaternion (4,) as x, y, z, w.
+
+        ``stamp`` is the time of exposure, ``received`` the time of delivery.
+        """
+        self.numbers(body, stamp, (*position, *orientation), received)
+
+    def state(self, stamp: int, values: Sequence[float]) -> None:
+        """The state the controller used, (10,) in the order of ``params.STATES``."""
+        self.numbers("state", stamp, values)
+
+    def reference(self, stamp: int, values: Sequence[float]) -> None:
+        """The reference at this tick, (10,) in the order of ``params.STATES``."""
+        self.numbers("reference", stamp, values)
+
+    def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
+        """Body rates (3,) in rad/s and normalised thrust, 0 to 1. A bag carries thrust in single precision."""
+        self.numbers("command", stamp, (*rates, thrust))
+
+    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
+        """Length that the controller uses, the raw estimate, and its standard deviation (both may be NaN), in m."""
+        self.numbers("length", stamp, (used, raw, std))
+
+    def truth(self, stamp: int, values: Sequence[float]) -> None:
+        """True state, (11,): ``params.STATES`` and the altitude z. Simulator only."""
+        self.numbers("truth_state", stamp, values)
+
+    def truth_length(self, stamp: int, length: float) -> None:
+        """True length of the rod in m. Simulator only."""
+        self.numbers("truth_length", stamp, (length,))
 
 
-class MemoryRecorder:
+class MemoryRecorder(Recorder):
     """Keeps a flight in memory, and hands it on to another recorder if there is one.
 
-    ``events`` are those so far; ``flight`` is all.
+    ``stamps`` (ns) and ``values`` by role, and ``events``, are what has come so far; ``flight`` makes a flight of it.
     """
 
     def __init__(self, other: Recorder | None = None) -> None:
         self._other = other
-        self._stamps: defaultdict[str, list[int]] = defaultdict(list)
-        self._values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
+        self.stamps: defaultdict[str, list[int]] = defaultdict(list)
+        self.values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
         self.events: list[Event] = []
 
-    @property
-    def failed(self) -> str | None:
-        return self._other.failed if self._other else None
-
-    def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self._stamps[topic].append(stamp)
-        self._values[topic].append(values)
-
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
-        self._add(body, stamp, *position, *orientation)
-        self._stamps[f"{body} received"].append(received)
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+        self.stamps[role].append(stamp)
+        self.values[role].append(tuple(values))
+        if received is not None:
+            self.stamps[f"{role} received"].append(received)
         if self._other:
-            self._other.pose(body, stamp, received, position, orientation)
-
-    def state(self, stamp: int, values: ArrayLike) -> None:
-        self._add("state", stamp, *values)
-        if self._other:
-            self._other.state(stamp, values)
-
-    def reference(self, stamp: int, values: ArrayLike) -> None:
-        self._add("reference", stamp, *values)
-        if self._other:
-            self._other.reference(stamp, values)
-
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
-        self._add("command", stamp, *rates, thrust)
-        if self._other:
-            self._other.command(stamp, rates, thrust)
-
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
-        self._add("length", stamp, used, raw, std)
-        if self._other:
-            self._other.length(stamp, used, raw, std)
+            self._other.numbers(role, stamp, values, received)
 
     def event(
         self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
@@ -269,20 +271,10 @@ class MemoryRecorder:
         if self._other:
             self._other.event(stamp, level, text, kind, data)
 
-    def truth(self, stamp: int, values: ArrayLike) -> None:
-        self._add("truth_state", stamp, *values)
-        if self._other:
-            self._other.truth(stamp, values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        self._add("truth_length", stamp, length)
-        if self._other:
-            self._other.truth_length(stamp, length)
-
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
         """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
-        stamps = {role: np.array(known, np.int64) for role, known in self._stamps.items()}
-        values = {role: np.array(known, np.float64) for role, known in self._values.items()}
+        stamps = {role: np.array(known, np.int64) for role, known in self.stamps.items()}
+        values = {role: np.array(known, np.float64) for role, known in self.values.items()}
         for array in (*stamps.values(), *values.values()):
             array.flags.writeable = False
         bodies = {

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib import __version__
-from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.dynamics import PLANT, body_z_of, coupled_plant, euler_angles, rk4
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
@@ -66,9 +66,7 @@ class Scenario:
     seed: int = 1
 
     def metadata(self) -> dict[str, Any]:
-        """What a bag of this flight carries about its origin; not ``safety`` and ``radio``, as ``fly`` uses neither."""
-        params = self.params.to_dict()
-        del params["safety"], params["radio"]
+        """Return what a bag of this flight carries about its origin."""
         return {
             "origin": "simulated",
             "version": __version__,
@@ -78,7 +76,7 @@ class Scenario:
             "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
-            "params": params,
+            "params": self.params.to_dict(),
         }
 
 
@@ -144,7 +142,7 @@ class Plant:
     def fallen(self) -> bool:
         """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
         x = self.x
-        return bool(x[12] < FALLEN or 1 - 2 * (x[6] ** 2 + x[7] ** 2) < FALLEN or x[2] < 0.1)
+        return bool(x[12] < FALLEN or body_z_of(x[PLANT["attitude"]])[2] < FALLEN or x[2] < 0.1)
 
 
 def _frame(params: Params, substeps: int) -> ca.Function:
@@ -260,11 +258,8 @@ class ParallelEstimator(Protocol):
 
     remarks: deque[tuple[str, str]]
     """(level, text) of what it has to say about itself; whoever reads them takes them away."""
-
-    @property
-    def seconds(self) -> float:
-        """How long its last run took, s; nan where that is not known."""
-        ...
+    seconds: float
+    """How long its last run took, s; nan where that is not known."""
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         """Give it a window (if one is due) at ``now`` ns; its newest estimate, once."""
@@ -302,8 +297,8 @@ class LengthUpdates:
         scenario: its ``told_lengths`` are the prescribed ones.
         estimator: beside the flight, or ``None``.
         receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
-        recorder: lengths, refusals and the estimator's remarks are recorded there.
-        say: also shows the remarks of the estimator to somebody.
+        recorder: of lengths, refusals and the estimator's remarks.
+        say: takes the remarks, too.
     """
 
     def __init__(

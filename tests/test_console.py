@@ -14,10 +14,9 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.parametrize(
     "command",
     [
-        ("-m", "fiplib.bags.info", "info", "data/circle-0.8"),
         ("-m", "fiplib.reproduction.figures", "--list"),
         ("scripts/fly.py", "--list"),
-        ("-m", "fiplib.studies.faults.campaign", "--list"),
+        ("-m", "fiplib", "faults", "--list"),
     ],
 )
 @pytest.mark.parametrize("unbuffered", ["1", ""])

@@ -1,8 +1,7 @@
 """ROS 2 bag -> Flight: a recorded flight as plain arrays, checked.
 
-``python -m fiplib.bags.reader info BAG`` describes one, ``python -m fiplib.bags.reader recover BAG`` saves what is left of a damaged
-one. A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a
-bag is one ``BagError`` that names the file and the topic and says what to do.
+A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a bag
+is one ``BagError`` that names the file and the topic and says what to do.
 """
 
 import json
@@ -106,7 +105,7 @@ def _damage(path: Path, source: Path, error: Exception) -> str:
         words = "not finished: it is being recorded still, or its recording was killed"
     with suppress(BagError):
         if count := intact_messages(source):
-            return f"{words}. {count} messages are intact; into a new bag with: python -m fiplib.bags.reader recover {path}"
+            return f"{words}. {count} messages are intact; into a new bag with: fip bag recover {path}"
     if unfinished:
         return f"{words}. It holds no message yet"
     return f"{words}. Nothing in it can be read: copy it again from where it was recorded, and keep this one"

@@ -37,7 +37,7 @@ SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
 
 @dataclass(frozen=True)
 class Margins:
-    """What a stable loop bears at its input; 1, 1, 0, 0 where it is unstable.
+    """Margins of a stable loop at its input; 1, 1, 0, 0 where it is unstable.
 
     Attributes:
         gain_low, gain_high: factors between which the loop gain may lie; below 1 and above 1.

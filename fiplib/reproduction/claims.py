@@ -22,14 +22,12 @@ from fiplib.reproduction.measures import (
     FALL_ANGLE,
     FINAL_SECONDS,
     angle,
-    best_length,
     convergence,
     fall_time,
     jumps,
     laps,
     lean,
     push_times,
-    refitted,
     rms,
     settling_time,
     tracking_error,
@@ -275,11 +273,11 @@ def convergence_time(paper: float, flight: Flight) -> Finding:
 def printed_fitness(paper: float, flight: Flight) -> Finding:
     """G1-G3: the length at which the fitness as printed (Euler, J = df/dx, posterior residual) is smallest, searched
     exhaustively in steps of 1 mm; median over windows of the flight."""
-    from fiplib import ga
+    from fiplib import ga, replay  # here and below: figures import this module, and need not wait for CasADi
 
     ours = flight.params.replace(estimation__fitness="paper", estimation__resolution=1e-3)
     unit = ours.replace(estimation__process_noise=(1.0,) * 10, estimation__measurement_noise=(1.0,) * 10)
-    windows = refitted(flight)
+    windows = replay.spaced_windows(flight)
     best, plain = (float(np.median([ga.landscape(window, p).best for window in windows])) for p in (ours, unit))
     words = f"Fitness exactly as printed, exhaustive search, median of {len(windows)} windows of this flight, our noise"
     words += f" covariances. With Q_e = R_e = I it is {plain:.3f} m"
@@ -306,9 +304,10 @@ def search_gaps(*flights: Flight) -> tuple[float, float, float, int]:
     Returns:
         |l_GA - l_best| in m as flown and with ``EXPLORING``, |l_best - l| in m, all medians over windows; their number.
     """
-    from fiplib import ga
+    from fiplib import ga, replay
+    from fiplib.estimators.grid import best_length
 
-    cases = [(window, flight.params) for flight in flights for window in refitted(flight)]
+    cases = [(window, flight.params) for flight in flights for window in replay.spaced_windows(flight)]
     best = np.array([best_length(*case) for case in cases])
     found = {explore: [] for explore in (False, True)}
     for run, (window, params) in enumerate(cases):

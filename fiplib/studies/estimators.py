@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import replay
-from fiplib.estimators import ESTIMATORS, Estimate
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
 from fiplib.params import NANO, Params

@@ -127,7 +127,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
-        flight = flight_of(excitation, params.pendulum.gyration_ratio, seed)
+        flight = flown(excitation, params.pendulum.gyration_ratio, seed)
         known = replay.windows(flight, often)
         seconds = np.array([window.stamp - flight.start_ns for window in known]) / NANO
         chosen += [known[np.abs(seconds - end).argmin()].window for end in ENDS]
@@ -135,7 +135,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
 
 
 @cache
-def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
+def flown(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """A simulated flight with the true length; the same for all that is varied in the estimator.
 
     Raises:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiplib import bags, ga, kalman
+from fiplib import bags, ga, kalman, replay
 from fiplib.dynamics import prediction_model, rk4
+from fiplib.estimators.grid import best_length
 from fiplib.kalman import Window
 from fiplib.params import STATE_NAMES, STATES, A, B, Params, X, Y
 from fiplib.pilot import Circle
@@ -66,7 +67,7 @@ def flight(
         length=series([t for t, _ in lengths], [[l, l, 0.0] for _, l in lengths], ("used", "estimate", "sd"))
         if lengths
         else None,
-        events=tuple(Event(round(push * 1e9), "info", "push of 8 mN s") for push in pushes),
+        events=tuple(Event(round(push * 1e9), "info", "push of 8 mN s", "push") for push in pushes),
         truth_state=None,
         truth_length=None,
         start_ns=0,
@@ -306,7 +307,7 @@ def test_the_printed_fitness_is_judged_by_its_own_name_over_all_windows(monkeypa
         assert params.estimation.fitness == "paper"
         return Found(0.3 if params.estimation.process_noise == (1.0,) * 10 else window)
 
-    monkeypatch.setattr(claims, "refitted", lambda flight: [0.9, 1.01, 1.02])
+    monkeypatch.setattr(replay, "spaced_windows", lambda flight: [0.9, 1.01, 1.02])
     monkeypatch.setattr(ga, "landscape", landscape)
     found = claims.printed_fitness(0.973, flight(1))
     assert (found.value, found.verdict, found.facts["identity"]) == (1.01, Verdict.STATED, 0.3)
@@ -351,18 +352,18 @@ def window() -> Window:
 
 def test_the_two_steps_of_the_exhaustive_search_find_the_best_of_all_lengths(window):
     params = Params().replace(estimation__length_min=0.9, estimation__length_max=1.2)  # 3 001 codes are quick
-    best = measures.best_length(window, params)
+    best = best_length(window, params)
     assert best == ga.landscape(window, params).best
     assert best == pytest.approx(1.05, abs=0.01)  # the model is unstable, so that 4 s of it tell the length well
     assert kalman.fitness([best], window, params.estimation) < kalman.fitness([best + 0.01], window, params.estimation)
 
 
 def test_the_gaps_of_the_search_are_medians_against_that_optimum(window, monkeypatch):
-    monkeypatch.setattr(claims, "refitted", lambda flight: [window, window])
+    monkeypatch.setattr(replay, "spaced_windows", lambda flight: [window, window])
     params = Params().replace(estimation__length_min=0.9, estimation__length_max=1.2)
     flown, explored, optimum, count = claims.search_gaps(flight(1, params=params))
     assert count == 2
-    assert optimum == pytest.approx(abs(measures.best_length(window, params) - 1.0))
+    assert optimum == pytest.approx(abs(best_length(window, params) - 1.0))
     # 20 generations of 60 see most of 3 001 codes about the optimum: within 5 mm with either setting
     assert 0 <= flown < 5e-3 and 0 <= explored < 5e-3
 
@@ -497,7 +498,7 @@ def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(ju
 
 
 def test_the_same_bags_give_the_same_bytes(judged_rows, tmp_path, monkeypatch):
-    monkeypatch.setattr(measures, "STRIDE", 1000)
+    monkeypatch.setattr(replay, "STRIDE", 1000)
     claims.search_gaps.cache_clear()
     again = ledger.evaluate(ROOT / "data")
     first = ledger.write(judged_rows, tmp_path / "1", tmp_path / "1")

@@ -108,7 +108,7 @@ def report() -> str:
 def judged_rows() -> list[ledger.Row]:
     """The ledger with a single window each refitted: the names of the macros are the same."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measures, "STRIDE", 1000)
+        patch.setattr(replay, "STRIDE", 1000)
         claims.search_gaps.cache_clear()
         return ledger.evaluate(ROOT / "data")
 

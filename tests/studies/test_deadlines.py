@@ -190,12 +190,12 @@ def test_flights_are_judged_one_by_one():
 
 
 def test_the_clock_of_a_process_is_its_processor_time():
-    counters = bench.Counters()
-    counters._clocks["us"] = (~os.getpid() << 3) | 2
+    counters = bench.Counters({"vehicle": os.getpid()})
     before = time.process_time_ns()
     sum(range(100_000))
-    assert before < counters.processor("us") <= time.process_time_ns()
+    assert before < counters.processor("vehicle") <= time.process_time_ns()
     assert counters.processor("nobody") == 0
+    counters.close()
 
 
 @pytest.mark.realtime
