@@ -111,7 +111,7 @@ stale = $(foreach name,$(PRODUCTS),$(if $(filter $(sources_$(name)),$?)$(call mi
 
 .make/claims: $(sources_claims) $(if $(call missing,$(CLAIM_FILES)),absent) | .venv/installed
 	@touch $@.begun
-	$(PY) -m fiplib claims
+	$(PY) -m fiplib figures claims
 	@mv $@.begun $@
 
 .PHONY: absent

@@ -1,8 +1,7 @@
-"""The registry: every figure and table, the ledger and the studies, each with what it is made from.
+"""The registry: every figure, every table and the ledger, each with what it is made from; ``fip figures`` makes them.
 
-A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``; a new
-study is one module, as ``fiplib.studies`` describes it, and one line in ``STUDIES``. The Makefile, ``fip figures``,
-``fip claims`` and ``fip sweep`` know no others. Modules are imported when something of theirs is made.
+A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``. The
+Makefile derives its lists from here. Modules are imported when something of theirs is made.
 """
 
 import argparse
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 from fiplib import studies
 from fiplib.params import FipError
 from fiplib.reproduction.sources import Sources, read
+from fiplib.studies import STUDIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,20 +65,8 @@ PRODUCTS = {
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 
-STUDIES = {
-    "survival": "fiplib.studies.survival",
-    "length_jumps": "fiplib.studies.length_jumps",
-    "weights": "fiplib.studies.weights",
-    "ledger_seeds": "fiplib.studies.ledger_seeds",
-    "ledger_readings": "fiplib.studies.ledger_seeds:Readings",
-    "landscapes": "fiplib.studies.landscapes",
-    "landscape_curves": "fiplib.studies.landscapes:Curves",
-    "bounds": "fiplib.studies.bounds",
-    "estimators": "fiplib.studies.estimators",
-    "imperfections": "fiplib.studies.imperfections",
-    "handover": "fiplib.studies.handover",
-}
-"""Address of each study by name, see ``studies.load``."""
+LEDGER = "claims"
+"""The name of the ledger among the products."""
 
 FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
@@ -159,11 +147,21 @@ def facts(data: Path = Path("data")) -> "Facts":
     }
 
 
+def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
+    """Judge every claim and write the ledger, its LaTeX files into the folder ``generated``."""
+    from fiplib.reproduction import ledger
+
+    return ledger.write(ledger.evaluate(data), folder, generated, facts(data))
+
+
+# --- what the Makefile includes
+
+
 def makefile(data: Path = Path("data")) -> str:
     """The registry as the Makefile includes it: names, files, and the sources of each product."""
     from fiplib.reproduction import dependencies
 
-    everything = PRODUCTS | {"claims": ledger()}
+    everything = PRODUCTS | {LEDGER: ledger()}
     common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
     lines = [
         f"PRODUCTS := {' '.join(PRODUCTS)}",
@@ -173,7 +171,7 @@ def makefile(data: Path = Path("data")) -> str:
     scanned = set(common)
     for name, product in everything.items():
         functions = [product.address, *(["fiplib.bags:read"] if product.bags else [])]
-        if name == "claims":
+        if name == LEDGER:
             functions += ["fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in FACTS)]
         files = dict.fromkeys([*common, *dependencies.files(*functions)])
         scanned.update(files)
@@ -183,59 +181,37 @@ def makefile(data: Path = Path("data")) -> str:
     return "\n".join([*lines, f".make/products.mk: {sources}", f"{sources}:", ""])
 
 
-# --- commands
+# --- fip figures
 
 
-def add_arguments_figures(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``fip figures``."""
     parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
-    parser.add_argument("--list", action="store_true", help="list figures and tables with what they are made from")
+    parser.add_argument("--list", action="store_true", help="list them with what they are made from")
     parser.add_argument("--make", action="store_true", help="print the same for the Makefile")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
     parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
+    parser.add_argument(
+        "--generated", type=Path, default=Path("paper/generated"), help=f"folder for the LaTeX files of {LEDGER}"
+    )
 
 
-def run_figures(options: argparse.Namespace) -> int:
-    """Make figures and tables; returns the exit status. Raises FipError."""
+def run(options: argparse.Namespace) -> int:
+    """Make figures, tables and the ledger; return the exit status. Raises FipError."""
     if options.make:
         print(makefile(), end="")
         return 0
+    everything = PRODUCTS | {LEDGER: ledger()}
     if options.list:
-        for name, product in PRODUCTS.items():
+        for name, product in everything.items():
             print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
         return 0
-    if unknown := [name for name in options.names if name not in PRODUCTS]:
-        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(PRODUCTS)}")
-    for name in options.names or PRODUCTS:
-        print("wrote", *write(name, make(name, options.data), options.output), flush=True)
+    if unknown := [name for name in options.names if name not in everything]:
+        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(everything)}")
+    for name in options.names or everything:
+        if name == LEDGER:
+            paths = write_ledger(options.data, options.output, options.generated)
+        else:
+            paths = write(name, make(name, options.data), options.output)
+        print("wrote", *paths, flush=True)
     return 0
-
-
-def add_arguments_claims(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``fip claims``."""
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder of claims.csv and claims.txt")
-    parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder of the LaTeX files")
-
-
-def run_claims(options: argparse.Namespace) -> int:
-    """Judge every claim and write the ledger; returns the exit status. Raises FipError."""
-    from fiplib.reproduction import ledger
-
-    rows = ledger.evaluate(options.data)
-    print("wrote", *ledger.write(rows, options.output, options.generated, facts(options.data)))
-    return 0
-
-
-def add_arguments_sweep(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``fip sweep``."""
-    from fiplib.studies import sweep
-
-    sweep.add_arguments(parser, STUDIES)
-
-
-def run_sweep(options: argparse.Namespace) -> int:
-    """Run studies; returns the exit status. Raises FipError."""
-    from fiplib.studies import sweep
-
-    return sweep.run(options, STUDIES)

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.parametrize(
     "command",
     [
-        ("-m", "fiplib.reproduction.figures", "--list"),
+        ("-m", "fiplib", "figures", "--list"),
         ("scripts/fly.py", "--list"),
         ("-m", "fiplib", "faults", "--list"),
     ],

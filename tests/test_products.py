@@ -12,10 +12,11 @@ import pytest
 
 from fiplib import products
 from fiplib.params import FipError
-from fiplib.products import PRODUCTS, STUDIES
+from fiplib.products import LEDGER, PRODUCTS
 from fiplib.reproduction import dependencies
 from fiplib.reproduction.sources import BENCHMARKS
 from fiplib.simulate import SCENARIOS
+from fiplib.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
 
@@ -23,8 +24,8 @@ ROOT = Path(__file__).parents[1]
 def figures(*arguments: str | Path) -> int:
     """``fip figures`` with these arguments."""
     parser = argparse.ArgumentParser()
-    products.add_arguments_figures(parser)
-    return products.run_figures(parser.parse_args(list(map(str, arguments))))
+    products.add_arguments(parser)
+    return products.run(parser.parse_args(list(map(str, arguments))))
 
 
 def test_every_name_of_the_registry_leads_somewhere():
@@ -46,7 +47,7 @@ def test_the_command_of_a_product_begins_with_what_it_is_made_from():
 def test_list_names_each_product_with_its_sources(capsys):
     assert figures("--list") == 0
     listed = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert list(listed) == list(PRODUCTS)
+    assert list(listed) == [*PRODUCTS, LEDGER]
     assert "push-hover" in listed["fig3-pushes"] and "sweeps/bounds" in listed["fig12-bound"]
 
 
@@ -133,7 +134,7 @@ class Checkout:
         """The products that ``make figures`` would write, the ledger as "claims"."""
         lines = self.make("--dry-run", "figures").stdout.splitlines()
         commands = [line.split()[3:] for line in lines if "-m fiplib" in line]
-        return [name for command in commands for name in (command[1:] if command[0] == "figures" else command)]
+        return [name for command in commands for name in command[1:]]
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """The ledger as files: every claim judged on our flights, as table, text, LaTeX and macros of the report."""
 
+import argparse
 import csv
 import io
 import math
@@ -148,3 +149,14 @@ def write(rows: Sequence[Row], figures: Path, generated: Path, facts: Facts | No
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", newline="\n")
     return list(contents)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip claims``."""
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge every claim and print the ledger; return the exit status. Raises BagError and JournalError."""
+    print(as_text(evaluate(options.data)))
+    return 0

@@ -1,6 +1,6 @@
 """The Monte Carlo studies, one module each: its cases, its run, and the figure, table and facts made from its rows.
 
-``products.STUDIES`` lists them; ``fip sweep NAME`` runs one over all cores, or a cluster. A study module has
+``STUDIES`` lists them; ``fip sweep NAME`` runs one over all cores, or a cluster. A study module has
 
 - ``KEYS: tuple[str, ...]``: the columns that identify a case,
 - ``cases() -> list[dict]``: the full study in a fixed order, plain str, int and float values,
@@ -17,6 +17,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fiplib.recording import Flight
     from fiplib.simulate import Scenario
+
+STUDIES = {
+    "survival": "fiplib.studies.survival",
+    "length_jumps": "fiplib.studies.length_jumps",
+    "weights": "fiplib.studies.weights",
+    "ledger_seeds": "fiplib.studies.ledger_seeds",
+    "ledger_readings": "fiplib.studies.ledger_seeds:Readings",
+    "landscapes": "fiplib.studies.landscapes",
+    "landscape_curves": "fiplib.studies.landscapes:Curves",
+    "bounds": "fiplib.studies.bounds",
+    "estimators": "fiplib.studies.estimators",
+    "imperfections": "fiplib.studies.imperfections",
+    "handover": "fiplib.studies.handover",
+}
+"""Address of each study by name, see ``load``."""
 
 
 def load(address: str) -> Any:

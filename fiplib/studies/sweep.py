@@ -172,7 +172,7 @@ def _reason(result: tuple[type, BaseException, Any]) -> str:
     return repr(error) + "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
 
 
-def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str]) -> None:
+def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str] = studies.STUDIES) -> None:
     """Declare the options of ``fip sweep`` for the studies ``known``, addresses by name."""
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"a study: {', '.join(known)}")
     parser.add_argument("--all", action="store_true", help="every study")
@@ -189,8 +189,8 @@ def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str]) -> 
     parser.add_argument("--data", type=Path, default=DIRECTORY, metavar="FOLDER", help="default: %(default)s")
 
 
-def run(options: argparse.Namespace, known: Mapping[str, str]) -> int:
-    """Run the studies that are asked for; returns the exit status: 1 if a case failed.
+def run(options: argparse.Namespace, known: Mapping[str, str] = studies.STUDIES) -> int:
+    """Run those of the studies ``known`` that are asked for; return the exit status: 1 if a case failed.
 
     Raises:
         SweepError, ClusterError, JournalError: a mistake of the user, or a cluster that was lost.

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from fiplib import products
+from fiplib import products, replay
 from fiplib.params import Params
-from fiplib.reproduction import claims, ledger, measures
+from fiplib.reproduction import claims, ledger
 
 ROOT = Path(__file__).parents[2]
 PAPER = ROOT / "paper"

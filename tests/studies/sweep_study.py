@@ -2,7 +2,7 @@
 
 import os
 
-from fiplib.params import A, Params
+from fiplib.params import Params
 from fiplib.pilot import Hover
 from fiplib.simulate import Scenario, fly
 

@@ -16,9 +16,8 @@ import pytest
 from dask import config as dask_config
 
 from fiplib.params import FipError
-from fiplib.products import STUDIES
 from fiplib.reproduction.sources import JournalError
-from fiplib.studies import sweep
+from fiplib.studies import STUDIES, sweep
 from fiplib.studies.cluster import ClusterError
 from fiplib.studies.journal import Journal, text
 from tests.studies import sweep_study
