@@ -184,12 +184,12 @@ def test_a_file_that_is_gone_is_made_again(checkout):
 
 def test_a_new_reference_counts_from_then_on(checkout):
     study = checkout.folder / "fiplib/studies/survival.py"
-    study.write_text(study.read_text().replace("def fig7_survival(", "@radio\ndef fig7_survival(", 1))
-    study.write_text(f"from fiplib.flight import radio\n{study.read_text()}")
+    study.write_text(study.read_text().replace("def fig7_survival(", "@failsafe\ndef fig7_survival(", 1))
+    study.write_text(f"from fiplib.flight import failsafe\n{study.read_text()}")
     checkout.touch(6, "fiplib/studies/survival.py")
     assert checkout.would_make() == ["fig7-survival"]
     checkout.touch(7, *checkout.files, ".make/figures", ".make/claims")
-    checkout.touch(8, "fiplib/flight/radio.py")
+    checkout.touch(8, "fiplib/flight/failsafe.py")
     assert checkout.would_make() == ["fig7-survival"]
 
 

@@ -451,7 +451,7 @@ def test_a_tolerance_is_met_up_to_its_edge():
 def judged_rows() -> list[ledger.Row]:
     """The whole ledger on the recorded flights, but with a single window each refitted: enough for its form."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measures, "STRIDE", 1000)
+        patch.setattr(replay, "STRIDE", 1000)
         return ledger.evaluate(ROOT / "data")
 
 
