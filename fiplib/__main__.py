@@ -6,18 +6,21 @@ gone are handled here, once for all of them.
 """
 
 import argparse
+import errno
 import importlib
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fiplib import __version__
 from fiplib.params import FipError
 
 MISTAKE, READER_GONE = 2, 128 + 13
-"""Exit statuses beside 0 and those of a subcommand: a user's mistake; whoever read the output has closed it (SIGPIPE)."""
+"""Exit statuses beside those of a subcommand: a user's mistake; the reader of the output has closed it (SIGPIPE)."""
+OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
+"""What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
 
 
 class Command(NamedTuple):
@@ -26,6 +29,9 @@ class Command(NamedTuple):
     module: str
     summary: str
 
+
+EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
+"""Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
     "figures": Command("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
@@ -59,26 +65,30 @@ def guarded(task: Callable[[], int]) -> int:
         return READER_GONE
     except KeyboardInterrupt:
         return _said("interrupted", 128 + signal.SIGINT)
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        return _said(f"this needs the package {error.name}: pip install 'fip[{extra}]'", MISTAKE)
     except (FipError, ValueError, OSError) as error:
-        if isinstance(error, OSError) and _stuck(sys.stdout):
+        if isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST:
             _discard_output()
-            return _said(f"the output cannot be written: {error.strerror or error}", MISTAKE)
+            return _said(f"the output cannot be written: {error.strerror}", MISTAKE)
         return _said(" ".join(str(error).split("\n")) or type(error).__name__, MISTAKE)
 
 
 def _run(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(
-        prog="fip", description="The flying inverted pendulum of unknown length.", epilog="fip COMMAND --help says more."
-    )
+    description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help says more."
+    parser = argparse.ArgumentParser(prog="fip", description=description, epilog=more)
     parser.add_argument("--version", action="version", version=f"fip {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)
     for name, command in COMMANDS.items():
         subparser = commands.add_parser(name, help=command.summary, description=f"{command.summary.capitalize()}.")
         if name == asked:
             importlib.import_module(command.module).add_arguments(subparser)
     options = parser.parse_args(arguments)
-    return importlib.import_module(COMMANDS[options.command].module).run(options)
+    return importlib.import_module(COMMANDS[options.subcommand].module).run(options)
 
 
 def _said(text: str, status: int) -> int:
@@ -94,24 +104,17 @@ def _usable_streams() -> None:
     for name in ("stdin", "stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115 - for the whole run
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))
         elif name != "stdin" and hasattr(stream, "reconfigure"):  # not where a test has put its own
             stream.reconfigure(errors="backslashreplace")
-
-
-def _stuck(stream: Any) -> bool:
-    """Whether a stream holds output that it cannot write, as on a full disk."""
-    try:
-        stream.flush()
-    except OSError:
-        return True
-    return False
 
 
 def _discard_output() -> None:
     """Send what is still in the buffers nowhere: Python would complain about it when it exits."""
     for stream in (sys.stdout, sys.stderr):
-        if _stuck(stream):
+        try:
+            stream.flush()
+        except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 

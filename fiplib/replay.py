@@ -97,11 +97,7 @@ def states(flight: Flight) -> Series:
 
 
 def reference(flight: Flight) -> Reference:
-    """The reference that the flight followed.
-
-    Raises:
-        BagError: the bag does not name one that is known here.
-    """
+    """The reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
     entry = dict(flight.metadata.get("reference", {}))
     kind = entry.pop("kind", None)
     if kind not in REFERENCES:
@@ -110,18 +106,10 @@ def reference(flight: Flight) -> Reference:
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
-    """What the pilot commands when it is given the poses and the estimates of the bag.
+    """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters than those it was flown with.
-        follow: another reference than the one it followed.
-
-    Returns:
-        Body rates in rad/s and normalised thrust, (n, 4), as in ``flight.command``.
-
-    Raises:
-        BagError: the bag does not say which reference was followed, and none is given.
+    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError: the bag does
+    not say which reference was followed, and none is given.
     """
     pilot = Pilot(params or flight.params, follow or reference(flight))
     length = flight.length
@@ -156,12 +144,8 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
     With the parameters of the flight these are the recorded lengths, to the last bit.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters (estimator, window, hand-over) than those it was flown with.
-
-    Raises:
-        BagError: the bag cannot be refitted; the message says why.
+    ``params`` are other parameters (estimator, window, hand-over). Raises BagError: the bag cannot be refitted; the
+    message says why.
     """
     params = params or flight.params
     estimator, found = estimator_of(params), windows(flight, params)
@@ -190,8 +174,7 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
         params: other parameters (vehicle, rod, noise) than those it was flown with. The rod's length is not read.
 
     Raises:
-        BagError: the bag's parameters are not those of this version.
-        ValueError: fewer than 16 frames to a window.
+        BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
     """
     params = params or flight.params
     seconds = params.estimation.raw_window
@@ -269,8 +252,7 @@ def raw_windows(
         flight: the recorded flight.
         seconds: span of a window.
         every: s from one window to the next; windows overlap when it is shorter than ``seconds``.
-        start: only frames from this time on are used, s since the start of the flight,
-        end: and only frames and commands up to this one.
+        start, end: only what lies between these times is used, s since the start of the flight.
 
     Raises:
         BagError: the bag cannot be refitted; the message says why.
