@@ -99,11 +99,6 @@ def test_a_notebook_begins_with_text_and_ends_with_what_to_try(path):
 
 
 def test_the_ninth_notebook_shows_every_figure_and_walks_over_every_table():
-<<<<<<< ours
-    from fiplib.products import PRODUCTS
-
-=======
->>>>>>> theirs
     source = "\n".join(cells(ROOT / "notebooks/09-paper-figures.ipynb", "code"))
     shown = set(re.findall(r'make\("(fig\d+-\w+)", DATA\)', source))
     assert shown == {name for name in PRODUCTS if name.startswith("fig")}
