@@ -16,6 +16,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import ModuleType
@@ -237,8 +238,8 @@ def peak_memory(function: Callable[[bool], object]) -> float:
     ``function`` stands at the top level of a module and takes whether to do a small piece of the work only; that piece
     comes first and is not measured: it imports and compiles.
     """
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_rise, (function,))
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_rise, function).result()
 
 
 def _rise(function: Callable[[bool], object]) -> float:
