@@ -300,7 +300,7 @@ class Pilot:
         for axis, part in zip(AXES, self._mpc.prepare(self.length), strict=True):
             # z = (s, s', d, d', sign * tilt) and sign * rate: see params.Axis
             signs = axis.sign * np.array((1.0, 1.0, 1.0, 1.0, axis.sign))
-            gains[axis.input, list(axis.states)] = signs * part.plan[0, :5]
+            gains[axis.input, list(axis.states)] = -signs * part.gains[0]
         return gains
 
 

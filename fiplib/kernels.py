@@ -1,0 +1,495 @@
+"""The loops that a flight and an estimate spend their time in, compiled by numba.
+
+Each kernel has a readable definition that a test holds it equal to: ``mpc.problem``, ``kalman.filter_window``,
+``dynamics.coupled_plant``. Importing this module compiles everything, for fixed types, so that nothing is compiled
+within a control tick; the compilations are kept on disk, and later imports take a fraction of a second. Those who need
+a kernel import it where they need it: numba itself takes 0.4 s.
+
+Sums run in the order in which they are written (no ``fastmath``, no BLAS), so every CPU gives the same bits.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib.params import AXES, GRAVITY
+
+_AXIS_STATES = np.array([axis.states for axis in AXES])
+_AXIS_INPUTS = np.array([axis.input for axis in AXES])
+_AXIS_SIGNS = np.array([axis.sign for axis in AXES])
+"""With z of an axis as in ``params.Axis``: z[4] and the input carry the sign of the axis."""
+
+_OPTIONS = {"error_model": "numpy", "cache": True}
+
+
+def compiled(*signature: str) -> Callable[[Callable], Callable]:
+    """Compile at once for one signature; without any, together with the kernels that call the function."""
+
+    def decorate(function: Callable) -> Callable:
+        try:
+            return numba.njit(*signature, **_OPTIONS)(function)
+        except RuntimeError as error:
+            if not _OPTIONS["cache"] or "cannot cache" not in str(error):
+                raise
+        print(
+            "fiplib: compiling for some seconds at every start, as no directory for compiled code can be written: "
+            "set NUMBA_CACHE_DIR to one that can",
+            file=sys.stderr,
+        )
+        _OPTIONS["cache"] = False
+        return numba.njit(*signature, **_OPTIONS)(function)
+
+    return decorate
+
+
+# The prediction model
+
+
+@compiled()
+def discretise(length: float, step: float, order: int, f: NDArray, b: NDArray) -> None:
+    """Write F (5, 5) and B (5,) of one axis of the model (``dynamics.axis_matrices``), its input held over the step.
+
+    They are sum (A dt)^n / n! and dt sum (A dt)^n b / (n + 1)! up to ``order``: 1 is Euler's method, 4 is RK4.
+    """
+    stiffness = 2.0 * GRAVITY / length
+    f[:] = np.eye(5)
+    b[:] = 0.0
+    b[4] = step
+    power, product = np.eye(5), np.empty((5, 5))
+    for n in range(1, order + 1):
+        share = step / n
+        for column in range(5):
+            product[0, column] = power[1, column] * share
+            product[1, column] = GRAVITY * power[4, column] * share
+            product[2, column] = power[3, column] * share
+            product[3, column] = (stiffness * power[2, column] - GRAVITY * power[4, column]) * share
+            product[4, column] = 0.0
+        power[:] = product
+        for row in range(5):
+            if n < order:
+                b[row] += step / (n + 1) * power[row, 4]
+            for column in range(5):
+                f[row, column] += power[row, column]
+
+
+# The optimal control problem; ``mpc`` explains the route
+
+LIMIT = 200
+"""Constraints taken up or given up in one solve at most."""
+
+OPTIMAL, SOFTENED, FAILED = range(3)
+
+_TOLERANCE = 1e-9
+"""A bound counts as kept when it is exceeded by no more than this, in the unit of the bounded value."""
+
+
+def work_shape(nodes: int) -> tuple[int, int]:
+    """Shape of the scratch memory of ``solve``."""
+    return LIMIT + 8, max(nodes + LIMIT, 6 * nodes)
+
+
+@compiled()
+def _dot(matrix: NDArray, i: int, z: tuple) -> float:
+    """Row i of a matrix with at least 5 columns times z. In pairs, which is two additions faster than in a row."""
+    pairs = (matrix[i, 0] * z[0] + matrix[i, 1] * z[1]) + (matrix[i, 2] * z[2] + matrix[i, 3] * z[3])
+    return pairs + matrix[i, 4] * z[4]
+
+
+@compiled()
+def _product(matrix: NDArray, i: int, z: tuple) -> tuple:
+    """Rows i to i + 4 of a matrix times z (5,)."""
+    z0, z1, z2 = _dot(matrix, i, z), _dot(matrix, i + 1, z), _dot(matrix, i + 2, z)
+    return z0, z1, z2, _dot(matrix, i + 3, z), _dot(matrix, i + 4, z)
+
+
+@compiled()
+def _plus(z: tuple, matrix: NDArray, i: int, factor: float) -> tuple:
+    """z + factor * (row i of a matrix)."""
+    return (
+        z[0] + matrix[i, 0] * factor,
+        z[1] + matrix[i, 1] * factor,
+        z[2] + matrix[i, 2] * factor,
+        z[3] + matrix[i, 3] * factor,
+        z[4] + matrix[i, 4] * factor,
+    )
+
+
+@compiled()
+def _row(matrix: NDArray, i: int) -> tuple:
+    return matrix[i, 0], matrix[i, 1], matrix[i, 2], matrix[i, 3], matrix[i, 4]
+
+
+@compiled("void(f8, f8, f8[:,:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
+def riccati(length: float, step: float, q: NDArray, r: NDArray, p: NDArray, model: NDArray, feedback: NDArray) -> None:
+    """Write the model (11, 5) of an axis, rows A, A' and B', and the feedback (2, N, 6) of both axes, (K_k, sqrt H_k).
+
+    Backwards from the terminal weights p (2, 5, 5) with q (2, 5, 5) and r (2,):
+    H = R + B'PB, K = B'PA / H, P <- Q + A'PA - K'HK.
+    """
+    a, b = np.empty((5, 5)), np.empty(5)
+    discretise(length, step, 4, a, b)
+    model[:5] = a
+    model[5:10] = a.T
+    model[10] = b
+    cost, pa = np.empty((5, 5)), np.empty((5, 5))
+    b_row = _row(model, 10)
+    for axis in range(2):
+        cost[:] = p[axis]
+        for k in range(feedback.shape[1] - 1, -1, -1):
+            pb = _product(cost, 0, b_row)  # P is symmetric: B'PA is (A'PB)'
+            h = r[axis] + _dot(model, 10, pb)
+            for j in range(5):
+                column = _product(cost, 0, _row(model, 5 + j))
+                pa[j, 0], pa[j, 1], pa[j, 2], pa[j, 3], pa[j, 4] = column
+                feedback[axis, k, j] = _dot(model, 5 + j, pb) / h
+            feedback[axis, k, 5] = math.sqrt(h)
+            for i in range(5):
+                for j in range(i + 1):  # the lower half: a skew part, born of rounding, would grow like the fall
+                    square = _dot(model, 5 + i, _row(pa, j)) - feedback[axis, k, i] * h * feedback[axis, k, j]
+                    cost[i, j] = cost[j, i] = q[axis, i, j] + square
+
+
+@compiled()
+def _forward(model: NDArray, feedback: NDArray, z0: tuple, w: NDArray, plan: NDArray) -> None:
+    """Write the plan (N, 6), rows (u_k, z_{k+1}): u_k = -K_k z_k + w_k / sqrt H_k, z_{k+1} = A z_k + B u_k."""
+    z = z0
+    for k in range(len(plan)):
+        u = w[k] / feedback[k, 5] - _dot(feedback, k, z)
+        z = _plus(_product(model, 0, z), model, 10, u)
+        plan[k, 0], plan[k, 1], plan[k, 2], plan[k, 3], plan[k, 4], plan[k, 5] = u, z[0], z[1], z[2], z[3], z[4]
+
+
+@compiled()
+def _back(model: NDArray, feedback: NDArray, k: int, adjoint: tuple) -> tuple[float, tuple]:
+    """Step k of the adjoint of ``_forward``: B'p / sqrt H and (A - BK)'p."""
+    bp = _dot(model, 10, adjoint)
+    return bp / feedback[k, 5], _plus(_product(model, 5, adjoint), feedback, k, -bp)
+
+
+@compiled()
+def _of_axis(axis: int, x: NDArray, k: int) -> tuple:
+    """z (5,) of an axis from row k of states or references (..., 10)."""
+    i = _AXIS_STATES
+    z0, z1, z2, z3 = x[k, i[axis, 0]], x[k, i[axis, 1]], x[k, i[axis, 2]], x[k, i[axis, 3]]
+    return z0, z1, z2, z3, _AXIS_SIGNS[axis] * x[k, i[axis, 4]]
+
+
+@compiled()
+def _target(
+    axis: int, model: NDArray, feedback: NDArray, q: NDArray, p: NDArray, reference: NDArray, w: NDArray
+) -> None:
+    """Write w* (N,), which leads along the reference (N + 1, 10) where no bound is active."""
+    adjoint = _product(p, 0, _of_axis(axis, reference, len(w)))
+    for k in range(len(w) - 1, -1, -1):
+        w[k], (a0, a1, a2, a3, a4) = _back(model, feedback, k, adjoint)
+        r0, r1, r2, r3, r4 = _product(q, 0, _of_axis(axis, reference, k))
+        adjoint = (a0 + r0, a1 + r1, a2 + r2, a3 + r3, a4 + r4)
+
+
+@compiled()
+def _sensitivity(model: NDArray, feedback: NDArray, k: int, i: int, sign: float, row: NDArray) -> None:
+    """Write sign * d plan[k, i] / d w, (N,): a row of M."""
+    row[:] = 0.0
+    adjoint = (sign * (i == 1), sign * (i == 2), sign * (i == 3), sign * (i == 4), sign * (i == 5))
+    if i == 0:
+        row[k] = sign / feedback[k, 5]
+        adjoint = _plus(adjoint, feedback, k, -sign)
+        k -= 1
+    for j in range(k, -1, -1):
+        row[j], adjoint = _back(model, feedback, j, adjoint)
+
+
+@compiled()
+def _give_up(i: int, n: int, factor: NDArray) -> None:
+    """Remove column i of n from the upper triangular factor (rows are kept contiguous), by Givens rotations."""
+    for row in range(n):
+        for column in range(max(i, row - 1), n - 1):
+            factor[row, column] = factor[row, column + 1]
+    for row in range(i, n - 1):
+        x, y = factor[row, row], factor[row + 1, row]
+        hypotenuse = math.sqrt(x * x + y * y)
+        if hypotenuse > 0.0:
+            c, s = x / hypotenuse, y / hypotenuse
+            for column in range(row, n - 1):
+                x, y = factor[row, column], factor[row + 1, column]
+                factor[row, column], factor[row + 1, column] = c * x + s * y, c * y - s * x
+
+
+@compiled()
+def _least_distance(
+    model: NDArray,
+    feedback: NDArray,
+    z0: tuple,
+    bounds: NDArray,
+    soft: float,
+    tolerance: float,
+    target: NDArray,
+    work: NDArray,
+    plan: NDArray,
+) -> tuple[int, bool]:
+    """Write the optimal plan (N, 6); returns its status and whether some bound is active.
+
+    min |w - target|^2 subject to |plan| <= bounds (6,), by the dual active-set method of Goldfarb and Idnani (1983):
+    from the target, take up the bound that is exceeded most and raise its multiplier until it is kept; where another
+    multiplier falls to zero on the way, give its bound up. ``soft`` is the inverse price of slack, 0 for hard bounds.
+
+    With m_i the rows of the active bounds, factor'factor is their Gram matrix, plus ``soft`` on its diagonal.
+    """
+    nodes = len(plan)
+    rows, factor, vectors = work[:LIMIT, :nodes], work[:LIMIT, nodes : nodes + LIMIT], work[LIMIT:]
+    multiplier, fall, place, sign = vectors[0], vectors[1], vectors[2], vectors[3]
+    w, response = vectors[4], vectors[5, : 6 * nodes].reshape(nodes, 6)
+    w[:nodes] = target
+    active = np.zeros((nodes, 6), np.bool_)
+    n = steps = 0
+    while True:
+        _forward(model, feedback, z0, w, plan)
+        k, i, violation = -1, 0, _TOLERANCE
+        for node in range(nodes):
+            for j in range(6):
+                over = abs(plan[node, j]) - bounds[j]
+                if over > violation and not active[node, j]:
+                    k, i, violation = node, j, over
+        for j in range(6):
+            if not math.isfinite(plan[nodes - 1, j]):
+                return FAILED, True
+        if k < 0:
+            break
+        multiplier[n], place[n], sign[n] = 0.0, 6 * k + i, 1.0 if plan[k, i] > 0.0 else -1.0
+        _sensitivity(model, feedback, k, i, sign[n], rows[n])
+        _forward(model, feedback, (0.0, 0.0, 0.0, 0.0, 0.0), rows[n], response)
+        for j in range(n + 1):
+            at = int(place[j])
+            factor[j, n] = sign[j] * response[at // 6, at % 6]
+        if i > 0:
+            factor[n, n] += soft
+        scale = factor[n, n]
+        for j in range(n):
+            factor[j, n] /= factor[j, j]
+            for m in range(j + 1, n):
+                factor[m, n] -= factor[j, n] * factor[j, m]
+            factor[n, n] -= factor[j, n] * factor[j, n]
+        factor[n, n] = math.sqrt(factor[n, n]) if factor[n, n] > 1e-12 * scale else 0.0
+        while True:
+            steps += 1
+            if steps == LIMIT:
+                return FAILED, True
+            slope = factor[n, n] * factor[n, n]
+            step, blocking = (violation / slope if slope > 0.0 else math.inf), -1
+            # the fall of the others per rise of the new multiplier solves factor fall = the factor's new column
+            for j in range(n - 1, -1, -1):
+                fall[j] = factor[j, n]
+                for m in range(j + 1, n):
+                    fall[j] -= factor[j, m] * fall[m]
+                fall[j] /= factor[j, j]
+                if fall[j] > 0.0 and multiplier[j] < step * fall[j]:
+                    step, blocking = multiplier[j] / fall[j], j
+            if step == math.inf:
+                return FAILED, True  # hard bounds that contradict each other
+            for j in range(n):
+                multiplier[j] -= step * fall[j]
+            multiplier[n] += step
+            violation -= step * slope
+            if blocking < 0:
+                active[k, i] = True
+                n += 1
+                break
+            active[int(place[blocking]) // 6, int(place[blocking]) % 6] = False
+            for j in range(blocking, n):
+                rows[j] = rows[j + 1]
+                multiplier[j], place[j], sign[j] = multiplier[j + 1], place[j + 1], sign[j + 1]
+            _give_up(blocking, n + 1, factor)
+            n -= 1
+        w[:nodes] = target
+        for j in range(n):
+            for m in range(nodes):
+                w[m] -= multiplier[j] * rows[j, m]
+    status = OPTIMAL
+    for node in range(nodes):
+        plan[node, 0] = min(max(plan[node, 0], -bounds[0]), bounds[0])  # kept to the tolerance only
+        for j in range(1, 6):
+            if abs(plan[node, j]) > bounds[j] + tolerance:
+                status = SOFTENED
+    return status, steps > 0
+
+
+@compiled()
+def _saturated(model: NDArray, z0: tuple, bound: float, plan: NDArray) -> None:
+    """Cut the inputs of a plan off at their bound, and write where the model goes with them."""
+    z = z0
+    for k in range(len(plan)):
+        u = 0.0 if math.isnan(plan[k, 0]) else min(max(plan[k, 0], -bound), bound)
+        z = _plus(_product(model, 0, z), model, 10, u)
+        plan[k, 0], plan[k, 1], plan[k, 2], plan[k, 3], plan[k, 4], plan[k, 5] = u, z[0], z[1], z[2], z[3], z[4]
+
+
+@compiled(
+    "i8(f8[::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8, f8,"
+    " f8[:,::1], f8[:,::1], f8[:,::1])"
+)
+def solve(
+    state: NDArray,
+    reference: NDArray,
+    model: NDArray,
+    feedback: NDArray,
+    q: NDArray,
+    p: NDArray,
+    bounds: NDArray,
+    soft: float,
+    tolerance: float,
+    work: NDArray,
+    states: NDArray,
+    inputs: NDArray,
+) -> int:
+    """Write the optimal plan of both axes, states (N + 1, 10) and inputs (N, 2).
+
+    Args:
+        state: x_0 (10,).
+        reference: (N + 1, 10).
+        model, feedback: as ``riccati`` writes them.
+        q, p: weights per axis, (2, 5, 5) each.
+        bounds: of (u, z) per axis, (2, 6).
+        soft: inverse price of the slack of the state bounds, 0 if they are hard.
+        tolerance: a state bound exceeded by more counts as softened.
+        work: scratch memory of ``work_shape``.
+
+    Returns:
+        -1 if state or reference are not finite; else the worse status of the two axes, plus 4 if a bound is active.
+    """
+    nodes = len(inputs)
+    for i in range(10):
+        if not math.isfinite(state[i]):
+            return -1
+    for k in range(nodes + 1):
+        for i in range(10):
+            if not math.isfinite(reference[k, i]):
+                return -1
+    worst, bounded = OPTIMAL, False
+    target, plan = work[LIMIT + 6, :nodes], work[LIMIT + 7, : 6 * nodes].reshape(nodes, 6)
+    states[0] = state
+    for axis in range(2):
+        z0 = _of_axis(axis, states, 0)
+        _target(axis, model, feedback[axis], q[axis], p[axis], reference, target)
+        status, some = _least_distance(model, feedback[axis], z0, bounds[axis], soft, tolerance, target, work, plan)
+        if status == FAILED:
+            _forward(model, feedback[axis], z0, target, plan)
+            _saturated(model, z0, bounds[axis, 0], plan)
+        worst, bounded = max(worst, status), bounded or some
+        sign = _AXIS_SIGNS[axis]
+        for k in range(nodes):
+            inputs[k, _AXIS_INPUTS[axis]] = sign * plan[k, 0]
+            for i in range(5):
+                states[k + 1, _AXIS_STATES[axis, i]] = (sign if i == 4 else 1.0) * plan[k, i + 1]
+    return worst + 4 * bounded
+
+
+# The Kalman filter over candidate lengths; ``kalman.filter_step`` is the readable one
+
+
+@compiled()
+def _invert(matrix: NDArray, first: int) -> float:
+    """Replace the positive definite rows ``first`` to ``first`` + 4 by their inverse; returns their determinant.
+
+    The sweep operator: an exchange step of Gauss and Jordan for each pivot leaves the negative inverse.
+    """
+    determinant = 1.0
+    for i in range(5):
+        pivot = _row(matrix, first + i)
+        determinant *= pivot[i]
+        inverse = 1.0 / pivot[i]
+        for row in range(5):
+            if row != i:
+                factor = pivot[row] * inverse
+                for column in range(5):
+                    matrix[first + row, column] -= factor * pivot[column]
+                matrix[first + row, i] = matrix[first + i, row] = factor
+        matrix[first + i, i] = -inverse
+    for row in range(first, first + 5):
+        for column in range(5):
+            matrix[row, column] = -matrix[row, column]
+    return determinant
+
+
+@compiled("void(f8[::1], f8[:,::1], f8[:,::1], f8, i8, i8, f8[:,::1], f8[:,::1], f8[::1])")
+def fitness(
+    lengths: NDArray,
+    states: NDArray,
+    inputs: NDArray,
+    step: float,
+    transition: int,
+    score: int,
+    q: NDArray,
+    r: NDArray,
+    result: NDArray,
+) -> None:
+    """Write the fitness (C,) of candidate lengths (C,).
+
+    ``kalman.filter_step`` per axis, shortened as H = I and a diagonal R allow: with G = S^-1, K = I - R G,
+    P+ = R - R G R and x+ = z - R G y.
+
+    Args:
+        lengths: in m, (C,).
+        states, inputs, step: as in ``kalman.Window``.
+        transition: 0 'printed', 1 'euler', 2 'rk4', as in ``kalman.READINGS``.
+        score: 0 'posterior', 1 'prior', 2 'likelihood'.
+        q, r: variances per axis, (2, 5).
+        result: (C,).
+    """
+    same = True
+    for i in range(5):
+        same = same and q[0, i] == q[1, i] and r[0, i] == r[1, i]
+    f, j, b, x = np.empty((5, 5)), np.empty((5, 5)), np.empty((1, 5)), np.empty((2, 5))
+    p, g = np.empty((10, 5)), np.empty((10, 5))  # one axis below the other
+    for candidate in range(len(lengths)):
+        discretise(lengths[candidate], step, 4 if transition == 2 else 1, f, b[0])
+        j[:] = f
+        if transition == 0:  # as printed: the continuous Jacobian
+            for i in range(5):
+                for m in range(5):
+                    j[i, m] = (f[i, m] - (i == m)) / step
+        total = 0.0
+        p[:] = 0.0
+        for axis in range(2):
+            for i in range(5):
+                p[5 * axis + i, i] = r[axis, i]
+            x[axis, 0], x[axis, 1], x[axis, 2], x[axis, 3], x[axis, 4] = _of_axis(axis, states, 0)
+        for k in range(1, len(states)):
+            for axis in range(2):
+                if axis == 0 or not same:  # axes of equal noise share their covariances
+                    for row in range(5):
+                        pj = _product(p, 5 * axis, _row(j, row))
+                        for column in range(5):
+                            g[5 * axis + row, column] = _dot(j, column, pj)
+                        g[5 * axis + row, row] += q[axis, row] + r[axis, row]
+                    determinant = _invert(g, 5 * axis)
+                    for row in range(5):
+                        for column in range(5):
+                            p[5 * axis + row, column] = -r[axis, row] * g[5 * axis + row, column] * r[axis, column]
+                        p[5 * axis + row, row] += r[axis, row]
+                if score == 2:
+                    total += math.log(determinant)
+                u = _AXIS_SIGNS[axis] * inputs[k - 1, _AXIS_INPUTS[axis]]
+                z = _of_axis(axis, states, k)
+                predicted = _plus(_product(f, 0, _row(x, axis)), b, 0, u)
+                y = (
+                    z[0] - predicted[0],
+                    z[1] - predicted[1],
+                    z[2] - predicted[2],
+                    z[3] - predicted[3],
+                    z[4] - predicted[4],
+                )
+                weighted = _product(g, 0 if same else 5 * axis, y)
+                for i in range(5):
+                    residual = r[axis, i] * weighted[i]
+                    x[axis, i] = z[i] - residual
+                    if score == 0:
+                        total += residual * residual
+                    elif score == 1:
+                        total += y[i] * y[i]
+                    else:
+                        total += y[i] * weighted[i]
+        result[candidate] = total if math.isfinite(total) else math.inf
