@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.params import AXES, GRAVITY
+from fiplib.params import AXES, GRAVITY, Params
 
 _AXIS_STATES = np.array([axis.states for axis in AXES])
 _AXIS_INPUTS = np.array([axis.input for axis in AXES])
@@ -493,3 +493,358 @@ def fitness(
                     else:
                         total += y[i] * weighted[i]
         result[candidate] = total if math.isfinite(total) else math.inf
+
+
+# The simulated vehicle; ``dynamics.coupled_plant`` is the readable one
+
+FALLEN = math.cos(math.radians(60.0))
+"""A rod or a vehicle that leans further than 60 degrees is not coming back."""
+
+
+def plant_constants(params: Params) -> NDArray:
+    """Mass of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, lags and step in s: (7,)."""
+    vehicle, pendulum, simulation = params.vehicle, params.pendulum, params.simulation
+    lags = simulation.rate_lag, simulation.thrust_lag
+    return np.array(
+        (vehicle.mass, pendulum.mass, pendulum.length / 2, pendulum.inertia_factor, *lags, 1.0 / simulation.plant_rate)
+    )
+
+
+@compiled()
+def _across(v: tuple, q: tuple) -> tuple:
+    """The part of v (3,) across the unit vector q (3,)."""
+    along = q[0] * v[0] + q[1] * v[1] + q[2] * v[2]
+    return v[0] - along * q[0], v[1] - along * q[1], v[2] - along * q[2]
+
+
+@compiled()
+def _plant_rate(x: NDArray, command: NDArray, force: NDArray, about: NDArray, rate: NDArray) -> None:
+    """Write x' (20,) of the state x, laid out by ``dynamics.PLANT``; ``about`` of ``plant_constants``."""
+    m, m_p, radius, factor, rate_lag, thrust_lag = about[0], about[1], about[2], about[3], about[4], about[5]
+    i, j, k, w = x[6], x[7], x[8], x[9]
+    q = (x[10], x[11], x[12])
+    body_z = (2.0 * (i * k + w * j), 2.0 * (j * k - w * i), 1.0 - 2.0 * (i * i + j * j))
+    spin = x[13] * x[13] + x[14] * x[14] + x[15] * x[15]
+    outward, thrust = m_p * radius * spin, x[19]
+    f = (force[0], force[1], force[2])
+    f_across = _across(f, q)
+    total = (
+        thrust * body_z[0] + f[0] + outward * q[0] - factor * f_across[0],
+        thrust * body_z[1] + f[1] + outward * q[1] - factor * f_across[1],
+        thrust * body_z[2] + f[2] + outward * q[2] - factor * f_across[2],
+    )
+    total_across, share = _across(total, q), m_p * factor / (m + m_p * (1.0 - factor))
+    alpha = (
+        (total[0] + share * total_across[0]) / (m + m_p),
+        (total[1] + share * total_across[1]) / (m + m_p),
+        (total[2] + share * total_across[2]) / (m + m_p),
+    )
+    pull = _across((alpha[0] - f[0] / m_p, alpha[1] - f[1] / m_p, alpha[2] - f[2] / m_p), q)
+    a, b, c = x[16], x[17], x[18]
+    rate[6] = 0.5 * (w * a + j * c - k * b)
+    rate[7] = 0.5 * (w * b + k * a - i * c)
+    rate[8] = 0.5 * (w * c + i * b - j * a)
+    rate[9] = -0.5 * (i * a + j * b + k * c)
+    for n in range(3):
+        rate[n] = x[3 + n]
+        rate[3 + n] = alpha[n]
+        rate[10 + n] = x[13 + n]
+        rate[13 + n] = -spin * q[n] - factor / radius * pull[n]
+        rate[16 + n] = (command[n] - x[16 + n]) / rate_lag
+    rate[5] -= GRAVITY
+    rate[19] = (command[3] - thrust) / thrust_lag
+
+
+@compiled("void(f8[::1], f8[:,::1], f8[::1], f8[::1])")
+def advance(x: NDArray, commands: NDArray, force: NDArray, about: NDArray) -> None:
+    """Advance the plant's state (20,) in place: an RK4 step for each row of the commands.
+
+    Args:
+        x: laid out by ``dynamics.PLANT``; quaternion and direction are made units again after each step.
+        commands: (n, 4), body rates in rad/s and thrust in N.
+        force: on the rod's COM, (3,) in N.
+        about: ``plant_constants``.
+    """
+    step = about[6]
+    k1, k2, k3, k4, at = np.empty(20), np.empty(20), np.empty(20), np.empty(20), np.empty(20)
+    for row in range(len(commands)):
+        command = commands[row]
+        _plant_rate(x, command, force, about, k1)
+        for n in range(20):
+            at[n] = x[n] + step / 2.0 * k1[n]
+        _plant_rate(at, command, force, about, k2)
+        for n in range(20):
+            at[n] = x[n] + step / 2.0 * k2[n]
+        _plant_rate(at, command, force, about, k3)
+        for n in range(20):
+            at[n] = x[n] + step * k3[n]
+        _plant_rate(at, command, force, about, k4)
+        for n in range(20):
+            x[n] += step / 6.0 * (k1[n] + 2.0 * k2[n] + 2.0 * k3[n] + k4[n])
+        norm = math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
+        for n in range(6, 10):
+            x[n] /= norm
+        norm = math.sqrt(x[10] * x[10] + x[11] * x[11] + x[12] * x[12])
+        for n in range(10, 13):
+            x[n] /= norm
+        x[13], x[14], x[15] = _across((x[13], x[14], x[15]), (x[10], x[11], x[12]))
+
+
+@compiled("b1(f8[::1])")
+def fallen(x: NDArray) -> bool:
+    """Whether rod or vehicle lean further than 60 degrees, or the vehicle is on the ground: the flight is over."""
+    return x[12] < FALLEN or 1.0 - 2.0 * (x[6] * x[6] + x[7] * x[7]) < FALLEN or x[2] < 0.1
+
+
+@compiled()
+def _single(value: float) -> float:
+    return float(np.float32(value))
+
+
+@compiled()
+def _turned(q: tuple, noise: NDArray, first: int) -> tuple:
+    """The quaternion q turned by a small rotation vector in the body frame, in single precision."""
+    i, j, k = noise[first] / 2.0, noise[first + 1] / 2.0, noise[first + 2] / 2.0
+    x = q[0] + q[3] * i + q[1] * k - q[2] * j
+    y = q[1] + q[3] * j + q[2] * i - q[0] * k
+    z = q[2] + q[3] * k + q[0] * j - q[1] * i
+    w = q[3] - q[0] * i - q[1] * j - q[2] * k
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return _single(x / norm), _single(y / norm), _single(z / norm), _single(w / norm)
+
+
+@compiled("void(f8[::1], f8, f8[::1], f8[::1])")
+def expose(x: NDArray, radius: float, noise: NDArray, frame: NDArray) -> None:
+    """Write a frame of motion capture (14,): position and attitude of the vehicle, then of the rod.
+
+    Args:
+        x: the plant's state.
+        radius: half the rod's length in m.
+        noise: of both positions in m, then of both attitudes in rad, (12,).
+        frame: numbers that single precision can hold.
+    """
+    for n in range(3):
+        frame[n] = _single(x[n] + noise[n])
+        frame[7 + n] = _single(x[n] + radius * x[10 + n] + noise[3 + n])
+    frame[3], frame[4], frame[5], frame[6] = _turned((x[6], x[7], x[8], x[9]), noise, 6)
+    # shortest rotation that takes the z axis to the rod's direction
+    scale = math.sqrt(2.0 * (1.0 + x[12]))
+    upright = (-x[11] / scale, x[10] / scale, 0.0, (1.0 + x[12]) / scale)
+    frame[10], frame[11], frame[12], frame[13] = _turned(upright, noise, 9)
+
+
+@compiled()
+def _euler_angles(q: NDArray, first: int) -> tuple:
+    """As ``dynamics.euler_angles``."""
+    x, y, z, w = q[first], q[first + 1], q[first + 2], q[first + 3]
+    phi = math.atan2(2 * (w * x - y * z), 1 - 2 * (x * x + y * y))
+    theta = math.asin(max(-1.0, min(1.0, 2 * (x * z + w * y))))
+    return phi, theta, math.atan2(2 * (w * z - x * y), 1 - 2 * (y * y + z * z))
+
+
+@compiled("void(f8[::1], f8, f8[::1])")
+def true_state(x: NDArray, radius: float, truth: NDArray) -> None:
+    """Write the ten true states and the height z, (11,), of the plant's state x."""
+    truth[0], truth[1], truth[2], truth[3] = x[0], x[3], x[1], x[4]
+    truth[4], truth[5], truth[6], truth[7] = radius * x[10], radius * x[13], radius * x[11], radius * x[14]
+    truth[8], truth[9], _ = _euler_angles(x, 6)
+    truth[10] = x[2]
+
+
+# The pilot around the MPC
+
+
+@compiled("void(f8[::1], f8, f8, f8, f8[::1], f8[::1])")
+def observe(frame: NDArray, length: float, elapsed: float, cutoff: float, memory: NDArray, observed: NDArray) -> None:
+    """Write the states (10,), then height in m, climb rate in m/s and yaw in rad: ``pilot.Observer``.
+
+    Args:
+        frame: (14,), as ``expose`` writes it.
+        length: of the rod, if (a, b) are to be its direction times half the length; 0 for the position of its COM.
+        elapsed: since the last frame in s; at 0 and below velocities stay as they are.
+        cutoff: of the low-pass filter in Hz.
+        memory: last positions x, y, a, b, z and their filtered velocities, (10,); zeros at first.
+        observed: (13,).
+    """
+    phi, theta, psi = _euler_angles(frame, 3)
+    a, b = frame[7] - frame[0], frame[8] - frame[1]
+    if length > 0.0:
+        x, y, z, w = frame[10], frame[11], frame[12], frame[13]
+        a, b = length * (x * z + w * y), length * (y * z - w * x)
+    share = 1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)
+    position = (frame[0], frame[1], a, b, frame[2])
+    for n in range(5):
+        if elapsed > 0.0:
+            memory[5 + n] += share * ((position[n] - memory[n]) / elapsed - memory[5 + n])
+        memory[n] = position[n]
+    for n in range(4):
+        observed[2 * n], observed[2 * n + 1] = memory[n], memory[5 + n]
+    observed[8], observed[9] = phi, theta
+    observed[10], observed[11], observed[12] = memory[4], memory[9], psi
+
+
+@compiled("void(f8[::1], f8, f8, f8, f8, f8[:,::1])")
+def circle(times: NDArray, radius: float, period: float, start: float, ramp: float, states: NDArray) -> None:
+    """Write the states (n, 10) of ``pilot.Circle`` at times (n,) in s."""
+    speed = 2.0 * math.pi / period
+    states[:] = 0.0
+    for n in range(len(times)):
+        since = max(times[n] - start, 0.0)
+        u = min(since / ramp, 1.0)
+        # the angular speed rises as 3 u^2 - 2 u^3; its integral over the whole ramp is half the ramp
+        angle = speed * (ramp * u * u * u * (1.0 - u / 2.0) + max(since - ramp, 0.0))
+        rate = speed * u * u * (3.0 - 2.0 * u)
+        cos, sin = radius * math.cos(angle), radius * math.sin(angle)
+        states[n, 0], states[n, 1], states[n, 2], states[n, 3] = cos, -rate * sin, sin, rate * cos
+
+
+def pilot_constants(params: Params, height: float) -> NDArray:
+    """What ``answer`` needs of the parameters, and the height to hold in m: (12,)."""
+    piloting, vehicle = params.piloting, params.vehicle
+    loops = (*piloting.altitude_gains, piloting.altitude_integral_limit, *piloting.yaw_gains, math.inf)
+    mass = vehicle.mass + params.pendulum.mass
+    return np.array((height, mass, vehicle.max_thrust, vehicle.max_body_rate, *loops))
+
+
+@compiled()
+def _pid(error: float, error_rate: float, elapsed: float, about: NDArray, first: int, integral: float) -> tuple:
+    """Answer and new integral share of a PID loop on a given error and its given derivative."""
+    limit = about[first + 3]
+    integral = max(-limit, min(limit, integral + about[first + 1] * error * elapsed))
+    return about[first] * error + integral + about[first + 2] * error_rate, integral
+
+
+@compiled("void(f8, f8, f8, f8, f8, f8, f8, f8, f8[::1], f8[::1], f8[::1])")
+def answer(
+    phi: float,
+    theta: float,
+    height: float,
+    climb_rate: float,
+    yaw: float,
+    omega_x: float,
+    omega_y: float,
+    elapsed: float,
+    about: NDArray,
+    integrals: NDArray,
+    command: NDArray,
+) -> None:
+    """Write the command (4,), body rates in rad/s and normalised thrust, of the MPC's rates and the loops beside it.
+
+    Args:
+        phi, theta, yaw: in rad.
+        height, climb_rate: in m and m/s.
+        omega_x, omega_y: the MPC's input in rad/s.
+        elapsed: since the last tick in s.
+        about: ``pilot_constants``.
+        integrals: of altitude and yaw, (2,); zeros at first.
+        command: thrust in single precision, as AttitudeTarget carries it: fly what is recorded.
+    """
+    climb, integrals[0] = _pid(about[0] - height, -climb_rate, elapsed, about, 4, integrals[0])
+    lift = about[1] * (GRAVITY + climb) / (math.cos(phi) * math.cos(theta))
+    turn, integrals[1] = _pid(-yaw, 0.0, elapsed, about, 8, integrals[1])
+    command[0], command[1] = omega_x, omega_y
+    command[2] = max(-about[3], min(about[3], turn))
+    command[3] = _single(max(0.0, min(1.0, lift / about[2])))
+
+
+# A whole flight: what ``simulate.fly`` does frame by frame
+
+
+@compiled(
+    "i8(i8, i8, f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:,:,::1],"
+    " f8, f8, f8[::1], f8[::1], f8[::1],"
+    " f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8, f8, f8[:,::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1])"
+)
+def fly(
+    first: int,
+    last: int,
+    x: NDArray,
+    about: NDArray,
+    schedule: NDArray,
+    noise: NDArray,
+    forces: NDArray,
+    ticks: NDArray,
+    acts: NDArray,
+    elapsed: NDArray,
+    tick_elapsed: NDArray,
+    references: NDArray,
+    length: float,
+    cutoff: float,
+    memory: NDArray,
+    pilot: NDArray,
+    integrals: NDArray,
+    model: NDArray,
+    feedback: NDArray,
+    q: NDArray,
+    p: NDArray,
+    bounds: NDArray,
+    soft: float,
+    tolerance: float,
+    work: NDArray,
+    frames: NDArray,
+    truths: NDArray,
+    states: NDArray,
+    commands: NDArray,
+    statuses: NDArray,
+) -> int:
+    """Fly the frames ``first`` to ``last`` - 1 of a flight of F frames and T control ticks; ``batch`` has them.
+
+    Args:
+        x, about: state and constants of the plant, as in ``advance``.
+        schedule: (substeps, 4), scratch; its last row holds the command in force.
+        noise, forces: for each frame, as in ``expose`` and ``advance``.
+        ticks: number of the control tick of each frame, -1 where there is none, (F,).
+        acts: substep at which the command of each tick begins to act, (T,).
+        elapsed: since the frame before, in s, (F,); ``tick_elapsed``: since the tick before, (T,).
+        references: (T, N + 1, 10).
+        length, cutoff, memory: as in ``observe``.
+        pilot, integrals: as in ``answer``.
+        model to work: as in ``solve``.
+        frames, truths, states, commands, statuses: what is written: (F, 14), (F, 11), (T, 10), (T, 4), (T,).
+
+    Returns:
+        The frame after which rod or vehicle had fallen, or ``last``.
+    """
+    substeps, nodes = len(schedule), feedback.shape[1]
+    observed, plan, inputs = np.empty(13), np.empty((nodes + 1, 10)), np.empty((nodes, 2))
+    given = 0
+    for index in range(first):
+        given = max(given, ticks[index] + 1)
+    acting = 0
+    while acting < given and acts[acting] < first * substeps:
+        acting += 1
+    for index in range(first, last):
+        expose(x, about[2], noise[index], frames[index])
+        true_state(x, about[2], truths[index])
+        observe(frames[index], length, elapsed[index], cutoff, memory, observed)
+        tick = ticks[index]
+        if tick >= 0:
+            states[tick] = observed[:10]
+            statuses[tick] = solve(
+                states[tick], references[tick], model, feedback, q, p, bounds, soft, tolerance, work, plan, inputs
+            )
+            answer(
+                observed[8],
+                observed[9],
+                observed[10],
+                observed[11],
+                observed[12],
+                inputs[0, 0],
+                inputs[0, 1],
+                tick_elapsed[tick],
+                pilot,
+                integrals,
+                commands[tick],
+            )
+            given = tick + 1
+        for row in range(substeps):
+            schedule[row] = schedule[row - 1 if row > 0 else substeps - 1]
+            while acting < given and acts[acting] <= index * substeps + row:
+                schedule[row, :3] = commands[acting, :3]
+                schedule[row, 3] = commands[acting, 3] * pilot[2]
+                acting += 1
+        advance(x, schedule, forces[index], about)
+        if fallen(x):
+            return index
+    return last

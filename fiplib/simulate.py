@@ -12,12 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib import __version__
-from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
@@ -25,9 +24,6 @@ from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
 from fiplib.pilot import Circle, Command, Hover, Pilot, Reference, estimator_of
 from fiplib.recording import EPOCH, Measurement, Recorder
-
-FALLEN = math.cos(math.radians(60.0))
-"""A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
 
 
 class Push(NamedTuple):
@@ -81,6 +77,8 @@ class Plant:
     """
 
     def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
+        from fiplib import kernels
+
         simulation = params.simulation
         self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
         self._radius = params.pendulum.length / 2
@@ -97,12 +95,8 @@ class Plant:
         self._substep = 0
         latency = simulation.mocap_latency + simulation.rate_delay
         self._delay = round(latency * simulation.plant_rate)
-        # CasADi reads and writes these arrays in place: no conversion on the way
-        self._schedule, self._force, self._next = np.zeros((self.substeps, 4)), np.zeros(3), np.zeros(20)
-        self._buffer, self._advance = _frame(params, self.substeps).buffer()
-        for index, array in enumerate((self.x, self._schedule.reshape(-1), self._force)):
-            self._buffer.set_arg(index, memoryview(array))
-        self._buffer.set_res(0, memoryview(self._next))
+        self._schedule = np.zeros((self.substeps, 4))
+        self._kernels, self._about = kernels, kernels.plant_constants(params)
 
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
@@ -117,74 +111,37 @@ class Plant:
             while self._commands and self._commands[0][0] <= self._substep + row:
                 self._held = self._commands.popleft()[1]
             self._schedule[row] = self._held
-        self._force[:] = force
-        self._advance()
-        self.x[:] = self._next
+        self._kernels.advance(self.x, self._schedule, np.array(force, dtype=float), self._about)
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
         """The ten true states and the height z, in the order of ``recorder.ROLES["truth_state"]``."""
-        x, r = self.x, self._radius
-        phi, theta, _ = euler_angles(x[6:10])
-        a, b, a_dot, b_dot = r * x[10], r * x[11], r * x[13], r * x[14]
-        return np.array((x[0], x[3], x[1], x[4], a, a_dot, b, b_dot, phi, theta, x[2]))
+        truth = np.empty(11)
+        self._kernels.true_state(self.x, self._radius, truth)
+        return truth
 
     @property
     def fallen(self) -> bool:
         """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
-        x = self.x
-        return bool(x[12] < FALLEN or 1 - 2 * (x[6] ** 2 + x[7] ** 2) < FALLEN or x[2] < 0.1)
-
-
-def _frame(params: Params, substeps: int) -> ca.Function:
-    """The plant over one frame: RK4 substeps, each followed by the projection onto unit quaternion and direction."""
-    x, commands, force = ca.MX.sym("x", 20), ca.MX.sym("commands", 4, substeps), ca.MX.sym("force", 3)
-    state = ca.SX.sym("x", 20)
-    attitude, direction, rate = (state[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
-    q = direction / ca.norm_2(direction)
-    unit = ca.vertcat(state[:6], attitude / ca.norm_2(attitude), q, rate - q * ca.dot(q, rate), state[16:])
-    project = ca.Function("project", [state], [unit])
-    step = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)
-    after = x
-    for column in range(substeps):
-        after = project(step(after, commands[:, column], force))
-    return ca.Function("frame", [x, commands, force], [after]).expand()
+        return self._kernels.fallen(self.x)
 
 
 class Mocap:
     """Motion capture of both bodies: seeded noise, then rounding to the single precision that NatNet streams."""
 
     def __init__(self, params: Params, frames: int, rng: np.random.Generator) -> None:
+        from fiplib import kernels
+
+        self._kernels = kernels
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
         self._noise = rng.normal(size=(frames, 12)) * scale
         self._radius = params.pendulum.length / 2
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
         """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
-        noise = self._noise[index]
-        q = x[PLANT["direction"]]
-        # shortest rotation that takes the z axis to the rod's direction
-        upright = np.array((-q[1], q[0], 0.0, 1.0 + q[2])) / math.sqrt(2.0 * (1.0 + q[2]))
-        return Measurement(
-            stamp,
-            _single(x[:3] + noise[:3]),
-            _single(_turned(x[PLANT["attitude"]], noise[6:9])),
-            _single(x[:3] + self._radius * q + noise[3:6]),
-            _single(_turned(upright, noise[9:12])),
-        )
-
-
-def _single(values: NDArray) -> NDArray:
-    return values.astype(np.float32).astype(np.float64)
-
-
-def _turned(q: NDArray, angle: NDArray) -> NDArray:
-    """The quaternion q turned by a small rotation vector (3,) in the body frame."""
-    x, y, z, w = q
-    i, j, k = angle / 2.0
-    turned = np.array((x + w * i + y * k - z * j, y + w * j + z * i - x * k, z + w * k + x * j - y * i, 0.0))
-    turned[3] = w - x * i - y * j - z * k
-    return turned / math.sqrt(float(turned @ turned))
+        frame = np.empty(14)
+        self._kernels.expose(x, self._radius, self._noise[index], frame)
+        return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
 
 
 class Outcome(NamedTuple):
@@ -283,6 +240,11 @@ class SimulatedEstimator:
         self._params, self._seed, self._runs = params, seed, 0
         self._estimate = estimator_of(params).function
         self._ready: tuple[int, Estimate] | None = None
+
+    @property
+    def due(self) -> int | None:
+        """When the answer of the run under way will be delivered, ns; ``None`` if none is."""
+        return self._ready[0] if self._ready else None
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         answer = None

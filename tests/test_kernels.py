@@ -1,14 +1,19 @@
 """Compiled loops: compiled once and for fixed types, on disk where that is possible."""
 
+import casadi as ca
 import numba
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from numba.core import caching
 
 from fiplib import kernels
+from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.params import Params
 
 
 def test_every_kernel_that_python_calls_is_compiled_at_import_and_for_one_signature_only():
-    for kernel in (kernels.riccati, kernels.solve, kernels.fitness):
+    for kernel in (kernels.riccati, kernels.solve, kernels.fitness, kernels.advance, kernels.observe, kernels.fly):
         assert len(kernel.signatures) == 1
         # else an argument of another type would be compiled for within a control tick; here it is refused
         assert not kernel._can_compile
@@ -47,3 +52,40 @@ def test_sums_are_neither_reordered_nor_fused():
 
     assert total(np.array([1e16] + [1.0] * 64 + [-1e16])) == 0.0
     assert square_minus(1.0 + 2.0**-30, (1.0 + 2.0**-30) ** 2) == 0.0
+
+
+def plant_step(params: Params) -> ca.Function:
+    """One step of the simulated plant: RK4, then the projection onto unit quaternion and direction."""
+    x = ca.SX.sym("x", 20)
+    attitude, direction, rate = (x[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
+    q = direction / ca.norm_2(direction)
+    unit = ca.vertcat(x[:6], attitude / ca.norm_2(attitude), q, rate - q * ca.dot(q, rate), x[16:])
+    step = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)
+    arguments = step.sx_in()
+    return ca.Function("step", arguments, [ca.substitute(unit, x, step(*arguments))])
+
+
+ROD = Params().replace(pendulum__length=0.8, pendulum__gyration_ratio=1 / 12)
+STEP = plant_step(ROD)
+
+
+@given(st.integers(0, 2**32), st.floats(0.1, 10.0))
+def test_the_compiled_plant_is_the_coupled_plant(seed, size):
+    rng = np.random.default_rng(seed)
+    x, commands, force = rng.normal(size=20), size * rng.normal(size=(3, 4)), 0.1 * size * rng.normal(size=3)
+    for name in ("attitude", "direction"):
+        x[PLANT[name]] /= np.linalg.norm(x[PLANT[name]])
+    expected = x
+    for command in commands:
+        expected = STEP(expected, command, force).full().ravel()
+    kernels.advance(x, commands, force, kernels.plant_constants(ROD))
+    # the same operations in the same order: equal but for what a compiler may do with x / 6
+    np.testing.assert_allclose(x, expected, rtol=1e-13, atol=1e-13)
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
+def test_compiled_angles_are_those_of_the_quaternion(q):
+    x, truth = np.zeros(20), np.empty(11)
+    x[6:10] = np.array(q) / np.linalg.norm(q)
+    kernels.true_state(x, 0.5, truth)
+    np.testing.assert_allclose(truth[8:10], euler_angles(x[6:10])[:2], atol=1e-15)  # rounding of one operation
