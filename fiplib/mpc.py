@@ -134,7 +134,7 @@ class Status(enum.Enum):
     """The solver gave no answer; the inputs are the unconstrained ones, cut off at their bounds."""
 
 
-_STATUSES = tuple(Status)
+STATUSES = tuple(Status)
 """By their number in ``kernels``."""
 
 
@@ -249,29 +249,20 @@ class MPC:
         if state.shape != (len(STATES),) or reference.shape != states.shape:
             _finite("state", state, (len(STATES),))
             _finite("reference", reference, states.shape)
-        model, feedback = self._prepared(self._length(length))
-        answer = self._kernels.solve(
-            state,
-            reference,
-            model,
-            feedback,
-            self._q,
-            self._p,
-            self._bounds,
-            self._softness,
-            SLACK_TOLERANCE,
-            self._work,
-            states,
-            inputs,
-        )
+        answer = self._kernels.solve(state, reference, *self.prepared(length), states, inputs)
         if answer < 0:
             _finite("state", state, state.shape)
             _finite("reference", reference, reference.shape)
-        return Solution(inputs[0], inputs, states, _STATUSES[answer & 3], answer > 3)
+        return Solution(inputs[0], inputs, states, STATUSES[answer & 3], answer > 3)
+
+    def prepared(self, length: float | None = None) -> tuple:
+        """What ``kernels.solve`` needs beside state and reference, for a length as in ``solve``."""
+        model, feedback = self._prepared(self._length(length))
+        return model, feedback, self._q, self._p, self._bounds, self._softness, SLACK_TOLERANCE, self._work
 
     def prepare(self, length: float | None = None) -> list[AxisProblem]:
-        """Set up for a length (as in ``solve``), one problem per axis; ``solve`` calls it, the latest few are kept."""
-        model, feedback = self._prepared(self._length(length))
+        """Set up for a length (as in ``solve``), one problem per axis; ``solve`` does it, the latest few are kept."""
+        model, feedback, *_ = self.prepared(length)
         return [
             AxisProblem(model[:5], model[10], rows[:, :5], rows[:, 5], bounds)
             for rows, bounds in zip(feedback, self._bounds, strict=True)
