@@ -100,10 +100,34 @@ def _dot(matrix: NDArray, i: int, z: tuple) -> float:
 
 
 @compiled()
-def _product(matrix: NDArray, i: int, z: tuple) -> tuple:
+def _product(matrix: NDArray, z: tuple, i: int = 0) -> tuple:
     """Rows i to i + 4 of a matrix times z (5,)."""
     z0, z1, z2 = _dot(matrix, i, z), _dot(matrix, i + 1, z), _dot(matrix, i + 2, z)
     return z0, z1, z2, _dot(matrix, i + 3, z), _dot(matrix, i + 4, z)
+
+
+@compiled()
+def _onward(f: NDArray, z: tuple) -> tuple:
+    """F z (5,), where F or A of one axis (``discretise``) has numbers: (s, s'), (d, d') and the tilt."""
+    return (
+        f[0, 0] * z[0] + f[0, 1] * z[1] + f[0, 4] * z[4],
+        f[1, 1] * z[1] + f[1, 4] * z[4],
+        f[2, 2] * z[2] + f[2, 3] * z[3] + f[2, 4] * z[4],
+        f[3, 2] * z[2] + f[3, 3] * z[3] + f[3, 4] * z[4],
+        f[4, 4] * z[4],
+    )
+
+
+@compiled()
+def _backward(f: NDArray, p: tuple) -> tuple:
+    """F'p (5,) of the same F."""
+    return (
+        f[0, 0] * p[0],
+        f[0, 1] * p[0] + f[1, 1] * p[1],
+        f[2, 2] * p[2] + f[3, 2] * p[3],
+        f[2, 3] * p[2] + f[3, 3] * p[3],
+        (f[0, 4] * p[0] + f[1, 4] * p[1]) + (f[2, 4] * p[2] + f[3, 4] * p[3]) + f[4, 4] * p[4],
+    )
 
 
 @compiled()
@@ -125,32 +149,27 @@ def _row(matrix: NDArray, i: int) -> tuple:
 
 @compiled("void(f8, f8, f8[:,:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def riccati(length: float, step: float, q: NDArray, r: NDArray, p: NDArray, model: NDArray, feedback: NDArray) -> None:
-    """Write the model (11, 5) of an axis, rows A, A' and B', and the feedback (2, N, 6) of both axes, (K_k, sqrt H_k).
+    """Write the model (6, 5) of an axis, rows A and B', and the feedback (2, N, 6) of both axes, (K_k, sqrt H_k).
 
     Backwards from the terminal weights p (2, 5, 5) with q (2, 5, 5) and r (2,):
     H = R + B'PB, K = B'PA / H, P <- Q + A'PA - K'HK.
     """
-    a, b = np.empty((5, 5)), np.empty(5)
-    discretise(length, step, 4, a, b)
-    model[:5] = a
-    model[5:10] = a.T
-    model[10] = b
-    cost, pa = np.empty((5, 5)), np.empty((5, 5))
-    b_row = _row(model, 10)
+    discretise(length, step, 4, model[:5], model[5])
+    cost, half, b = np.empty((5, 5)), np.empty((5, 5)), _row(model, 5)
     for axis in range(2):
         cost[:] = p[axis]
         for k in range(feedback.shape[1] - 1, -1, -1):
-            pb = _product(cost, 0, b_row)  # P is symmetric: B'PA is (A'PB)'
-            h = r[axis] + _dot(model, 10, pb)
-            for j in range(5):
-                column = _product(cost, 0, _row(model, 5 + j))
-                pa[j, 0], pa[j, 1], pa[j, 2], pa[j, 3], pa[j, 4] = column
-                feedback[axis, k, j] = _dot(model, 5 + j, pb) / h
+            pb = _product(cost, b)
+            h = r[axis] + _dot(model, 5, pb)
+            gain = _backward(model, pb)  # (B'PA)', as P is symmetric
+            for i in range(5):
+                feedback[axis, k, i] = gain[i] / h
+                half[0, i], half[1, i], half[2, i], half[3, i], half[4, i] = _backward(model, _row(cost, i))  # A'P
             feedback[axis, k, 5] = math.sqrt(h)
             for i in range(5):
+                square = _backward(model, _row(half, i))  # row i of A'PA
                 for j in range(i + 1):  # the lower half: a skew part, born of rounding, would grow like the fall
-                    square = _dot(model, 5 + i, _row(pa, j)) - feedback[axis, k, i] * h * feedback[axis, k, j]
-                    cost[i, j] = cost[j, i] = q[axis, i, j] + square
+                    cost[i, j] = cost[j, i] = q[axis, i, j] + square[j] - feedback[axis, k, i] * gain[j]
 
 
 @compiled()
@@ -159,15 +178,15 @@ def _forward(model: NDArray, feedback: NDArray, z0: tuple, w: NDArray, plan: NDA
     z = z0
     for k in range(len(plan)):
         u = w[k] / feedback[k, 5] - _dot(feedback, k, z)
-        z = _plus(_product(model, 0, z), model, 10, u)
+        z = _plus(_onward(model, z), model, 5, u)
         plan[k, 0], plan[k, 1], plan[k, 2], plan[k, 3], plan[k, 4], plan[k, 5] = u, z[0], z[1], z[2], z[3], z[4]
 
 
 @compiled()
 def _back(model: NDArray, feedback: NDArray, k: int, adjoint: tuple) -> tuple[float, tuple]:
     """Step k of the adjoint of ``_forward``: B'p / sqrt H and (A - BK)'p."""
-    bp = _dot(model, 10, adjoint)
-    return bp / feedback[k, 5], _plus(_product(model, 5, adjoint), feedback, k, -bp)
+    bp = _dot(model, 5, adjoint)
+    return bp / feedback[k, 5], _plus(_backward(model, adjoint), feedback, k, -bp)
 
 
 @compiled()
@@ -183,10 +202,10 @@ def _target(
     axis: int, model: NDArray, feedback: NDArray, q: NDArray, p: NDArray, reference: NDArray, w: NDArray
 ) -> None:
     """Write w* (N,), which leads along the reference (N + 1, 10) where no bound is active."""
-    adjoint = _product(p, 0, _of_axis(axis, reference, len(w)))
+    adjoint = _product(p, _of_axis(axis, reference, len(w)))
     for k in range(len(w) - 1, -1, -1):
         w[k], (a0, a1, a2, a3, a4) = _back(model, feedback, k, adjoint)
-        r0, r1, r2, r3, r4 = _product(q, 0, _of_axis(axis, reference, k))
+        r0, r1, r2, r3, r4 = _product(q, _of_axis(axis, reference, k))
         adjoint = (a0 + r0, a1 + r1, a2 + r2, a3 + r3, a4 + r4)
 
 
@@ -323,7 +342,7 @@ def _saturated(model: NDArray, z0: tuple, bound: float, plan: NDArray) -> None:
     z = z0
     for k in range(len(plan)):
         u = 0.0 if math.isnan(plan[k, 0]) else min(max(plan[k, 0], -bound), bound)
-        z = _plus(_product(model, 0, z), model, 10, u)
+        z = _plus(_onward(model, z), model, 5, u)
         plan[k, 0], plan[k, 1], plan[k, 2], plan[k, 3], plan[k, 4], plan[k, 5] = u, z[0], z[1], z[2], z[3], z[4]
 
 
@@ -442,7 +461,7 @@ def fitness(
     same = True
     for i in range(5):
         same = same and q[0, i] == q[1, i] and r[0, i] == r[1, i]
-    f, j, b, x = np.empty((5, 5)), np.empty((5, 5)), np.empty((1, 5)), np.empty((2, 5))
+    f, j, half, b, x = np.empty((5, 5)), np.empty((5, 5)), np.empty((5, 5)), np.empty((1, 5)), np.empty((2, 5))
     p, g = np.empty((10, 5)), np.empty((10, 5))  # one axis below the other
     for candidate in range(len(lengths)):
         discretise(lengths[candidate], step, 4 if transition == 2 else 1, f, b[0])
@@ -460,11 +479,12 @@ def fitness(
         for k in range(1, len(states)):
             for axis in range(2):
                 if axis == 0 or not same:  # axes of equal noise share their covariances
-                    for row in range(5):
-                        pj = _product(p, 5 * axis, _row(j, row))
-                        for column in range(5):
-                            g[5 * axis + row, column] = _dot(j, column, pj)
-                        g[5 * axis + row, row] += q[axis, row] + r[axis, row]
+                    for i in range(5):
+                        half[0, i], half[1, i], half[2, i], half[3, i], half[4, i] = _onward(j, _row(p, 5 * axis + i))
+                    for i in range(5):
+                        m = 5 * axis + i
+                        g[m, 0], g[m, 1], g[m, 2], g[m, 3], g[m, 4] = _onward(j, _row(half, i))  # J P J'
+                        g[m, i] += q[axis, i] + r[axis, i]
                     determinant = _invert(g, 5 * axis)
                     for row in range(5):
                         for column in range(5):
@@ -474,7 +494,7 @@ def fitness(
                     total += math.log(determinant)
                 u = _AXIS_SIGNS[axis] * inputs[k - 1, _AXIS_INPUTS[axis]]
                 z = _of_axis(axis, states, k)
-                predicted = _plus(_product(f, 0, _row(x, axis)), b, 0, u)
+                predicted = _plus(_onward(f, _row(x, axis)), b, 0, u)
                 y = (
                     z[0] - predicted[0],
                     z[1] - predicted[1],
@@ -482,7 +502,7 @@ def fitness(
                     z[3] - predicted[3],
                     z[4] - predicted[4],
                 )
-                weighted = _product(g, 0 if same else 5 * axis, y)
+                weighted = _product(g, y, 0 if same else 5 * axis)
                 for i in range(5):
                     residual = r[axis, i] * weighted[i]
                     x[axis, i] = z[i] - residual

@@ -244,7 +244,7 @@ class MPC:
             ValueError: a wrong shape, a number that is not finite, a length that is not positive.
         """
         nodes = self.params.control.nodes
-        state, reference = np.array(state, dtype=float), np.array(reference, dtype=float)  # copies lie as C asks
+        state, reference = (np.array(value, dtype=float, order="C") for value in (state, reference))
         states, inputs = np.empty((nodes + 1, len(STATES))), np.empty((nodes, len(INPUTS)))
         if state.shape != (len(STATES),) or reference.shape != states.shape:
             _finite("state", state, (len(STATES),))
@@ -257,28 +257,24 @@ class MPC:
 
     def prepared(self, length: float | None = None) -> tuple:
         """What ``kernels.solve`` needs beside state and reference, for a length as in ``solve``."""
-        model, feedback = self._prepared(self._length(length))
-        return model, feedback, self._q, self._p, self._bounds, self._softness, SLACK_TOLERANCE, self._work
+        length = self.params.pendulum.length if length is None else float(length)
+        if not 0.0 < length < math.inf:
+            raise ValueError(f"length must be positive and finite, got {length} m")
+        return self._prepared(length)
 
     def prepare(self, length: float | None = None) -> list[AxisProblem]:
         """Set up for a length (as in ``solve``), one problem per axis; ``solve`` does it, the latest few are kept."""
         model, feedback, *_ = self.prepared(length)
         return [
-            AxisProblem(model[:5], model[10], rows[:, :5], rows[:, 5], bounds)
+            AxisProblem(model[:5], model[5], rows[:, :5], rows[:, 5], bounds)
             for rows, bounds in zip(feedback, self._bounds, strict=True)
         ]
 
-    def _length(self, length: float | None) -> float:
-        length = self.params.pendulum.length if length is None else float(length)
-        if not 0.0 < length < math.inf:
-            raise ValueError(f"length must be positive and finite, got {length} m")
-        return length
-
-    def _prepare(self, length: float) -> tuple[NDArray, NDArray]:
+    def _prepare(self, length: float) -> tuple:
         control = self.params.control
-        model, feedback = np.empty((11, 5)), np.empty((len(AXES), control.nodes, 6))
+        model, feedback = np.empty((6, 5)), np.empty((len(AXES), control.nodes, 6))
         self._kernels.riccati(length, control.step, self._q, self._r, self._p, model, feedback)
-        return model, feedback
+        return model, feedback, self._q, self._p, self._bounds, self._softness, SLACK_TOLERANCE, self._work
 
 
 def _per_axis(cost: Weights) -> Weights:

@@ -262,6 +262,7 @@ def test_read_only_and_strided_arguments_give_the_same_plan():
     wide[:, ::2] = reference
     state.flags.writeable = wide.flags.writeable = False
     assert np.array_equal(MPC(PARAMS).solve(state, wide[:, ::2]).states, plain.states)
+    assert np.array_equal(MPC(PARAMS).solve(state, np.asfortranarray(reference)).states, plain.states)
     assert np.array_equal(MPC(PARAMS).solve(list(state), reference.tolist()).inputs, plain.inputs)
 
 
