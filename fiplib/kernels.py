@@ -78,8 +78,12 @@ def discretise(length: float, step: float, order: int, f: NDArray, b: NDArray) -
 
 # The optimal control problem; ``mpc`` explains the route
 
-LIMIT = 200
-"""Constraints taken up or given up in one solve at most."""
+LIMIT = 250
+"""Bounds taken up or given up in one solve at most. Where more are needed the rod is already falling (bounds exceeded
+severalfold); ``EFFORT`` keeps such a tick, too, within the control period."""
+
+EFFORT = 1_200_000
+"""Sum over a solve's steps of the square of the number of active bounds, at most: some 3 ms."""
 
 OPTIMAL, SOFTENED, FAILED = range(3)
 
@@ -89,7 +93,7 @@ _TOLERANCE = 1e-9
 
 def work_shape(nodes: int) -> tuple[int, int]:
     """Shape of the scratch memory of ``solve``."""
-    return LIMIT + 8, max(nodes + LIMIT, 6 * nodes)
+    return LIMIT + 9, max(nodes + LIMIT, 6 * nodes)
 
 
 @compiled()
@@ -261,10 +265,10 @@ def _least_distance(
     nodes = len(plan)
     rows, factor, vectors = work[:LIMIT, :nodes], work[:LIMIT, nodes : nodes + LIMIT], work[LIMIT:]
     multiplier, fall, place, sign = vectors[0], vectors[1], vectors[2], vectors[3]
-    w, response = vectors[4], vectors[5, : 6 * nodes].reshape(nodes, 6)
+    w, response, column = vectors[4], vectors[5, : 6 * nodes].reshape(nodes, 6), vectors[8]
     w[:nodes] = target
     active = np.zeros((nodes, 6), np.bool_)
-    n = steps = 0
+    n = steps = effort = 0
     while True:
         _forward(model, feedback, z0, w, plan)
         k, i, violation = -1, 0, _TOLERANCE
@@ -282,20 +286,18 @@ def _least_distance(
         _sensitivity(model, feedback, k, i, sign[n], rows[n])
         _forward(model, feedback, (0.0, 0.0, 0.0, 0.0, 0.0), rows[n], response)
         for j in range(n + 1):
-            at = int(place[j])
-            factor[j, n] = sign[j] * response[at // 6, at % 6]
-        if i > 0:
-            factor[n, n] += soft
-        scale = factor[n, n]
+            column[j] = sign[j] * response[int(place[j]) // 6, int(place[j]) % 6]
+        square = scale = column[n] + (soft if i > 0 else 0.0)
         for j in range(n):
-            factor[j, n] /= factor[j, j]
+            column[j] /= factor[j, j]
             for m in range(j + 1, n):
-                factor[m, n] -= factor[j, n] * factor[j, m]
-            factor[n, n] -= factor[j, n] * factor[j, n]
-        factor[n, n] = math.sqrt(factor[n, n]) if factor[n, n] > 1e-12 * scale else 0.0
+                column[m] -= column[j] * factor[j, m]
+            factor[j, n] = column[j]
+            square -= column[j] * column[j]
+        factor[n, n] = math.sqrt(square) if square > 1e-12 * scale else 0.0
         while True:
-            steps += 1
-            if steps == LIMIT:
+            steps, effort = steps + 1, effort + n * n
+            if steps == LIMIT or effort > EFFORT:
                 return FAILED, True
             slope = factor[n, n] * factor[n, n]
             step, blocking = (violation / slope if slope > 0.0 else math.inf), -1
@@ -327,6 +329,10 @@ def _least_distance(
         for j in range(n):
             for m in range(nodes):
                 w[m] -= multiplier[j] * rows[j, m]
+    for j in range(n):  # rounding can spoil what was kept once, where the rod is past saving
+        k, i = int(place[j]) // 6, int(place[j]) % 6
+        if abs(sign[j] * plan[k, i] - bounds[i] - (soft * multiplier[j] if i > 0 else 0.0)) > tolerance:
+            return FAILED, True
     status = OPTIMAL
     for node in range(nodes):
         plan[node, 0] = min(max(plan[node, 0], -bounds[0]), bounds[0])  # kept to the tolerance only
