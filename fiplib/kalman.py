@@ -1,7 +1,7 @@
 """Kalman filter over a window of flight data, with a candidate length inside: how well does it explain the data?
 
 ``filter_step`` is the filter as a textbook has it, one line an equation of the paper, and ``filter_window`` runs it
-over a window. ``fitness`` is the same filter in a compiled loop (``kernels.fitness``), for thousands of lengths: each
+over a window. ``fitness`` is the same filter in a compiled loop (``kernels.filtering``), for thousands of lengths: each
 candidate is computed on its own, so its fitness is the same to the last bit whatever else is in the batch.
 
 Every state is measured (H = I) and noise covariances are diagonal. The paper does not say how the filter starts. Our
@@ -162,7 +162,9 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
     Raises:
         ValueError: unknown reading, noise of the wrong size or sign, lengths that are not positive and finite.
     """
-    from fiplib import kernels  # here and not above: numba takes a while, and not all who read windows filter them
+    from fiplib.kernels import (
+        filtering,  # here and not above: numba takes a while, and not all who read windows filter them
+    )
 
     lengths = _checked_lengths(lengths)
     if lengths.ndim != 1:
@@ -171,7 +173,7 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
     q, r = (variances[[axis.states for axis in AXES]] for variances in _noise(estimation))
     result = np.empty(len(lengths))
     data = (np.array(window.states, order="C"), np.array(window.inputs, order="C"), window.step)  # copies lie as C asks
-    kernels.fitness(lengths, *data, TRANSITIONS.index(transition), SCORES.index(score), q, r, result)
+    filtering.fitness(lengths, *data, TRANSITIONS.index(transition), SCORES.index(score), q, r, result)
     return result
 
 

@@ -15,7 +15,7 @@ than a general solver does, in four steps that lose nothing:
 4. *Active set.* Otherwise a dual active-set method minimises |dw|^2 + price * |slack|^2 subject to |y* + M dw| <=
    bounds + slack. It starts from no active bound every time: there is no memory between ticks.
 
-The sweeps are compiled loops, in ``kernels``.
+The sweeps are compiled loops, in ``kernels.control``.
 """
 
 import enum
@@ -135,7 +135,7 @@ class Status(enum.Enum):
 
 
 STATUSES = tuple(Status)
-"""By their number in ``kernels``."""
+"""By their number in ``kernels.control``."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class MPC:
         if bounds.shape != (2 + len(STATES),) or not (bounds > 0.0).all():
             raise ValueError("slack_weight, max_body_rate and the ten state_bounds must be positive; inf is no bound")
         # here and not above: numba takes a while, and not all who read this module's problem solve it
-        from fiplib import kernels
+        from fiplib.kernels import control as kernels
 
         self.params = params
         self.weights = weights(params, state_weights, input_weights, terminal_weights)
@@ -256,7 +256,7 @@ class MPC:
         return Solution(inputs[0], inputs, states, STATUSES[answer & 3], answer > 3)
 
     def prepared(self, length: float | None = None) -> tuple:
-        """What ``kernels.solve`` needs beside state and reference, for a length as in ``solve``."""
+        """What ``kernels.control.solve`` needs beside state and reference, for a length as in ``solve``."""
         length = self.params.pendulum.length if length is None else float(length)
         if not 0.0 < length < math.inf:
             raise ValueError(f"length must be positive and finite, got {length} m")

@@ -17,20 +17,10 @@ from numpy.typing import NDArray
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
 from fiplib.estimators.handover import HANDOVERS, HandOver
-from fiplib.estimators.windows import SAMPLERS, RawSchedule, RawWindow
+from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
-from fiplib.params import (
-    AXES,
-    NANO,
-    PHI,
-    STATES,
-    THETA,
-    Params,
-    Piloting,
-    X,
-    Y,
-)
+from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
 from fiplib.recording import Measurement
 
 
@@ -101,11 +91,11 @@ class Circle:
     ramp: float = 4.0
 
     def at(self, times: NDArray) -> NDArray:
-        from fiplib import kernels
+        from fiplib.kernels import piloting
 
         states = np.empty((len(times), len(STATES)))
         times = np.array(times, dtype=float)
-        kernels.circle(times, self.radius, self.period, self.start, self.ramp, states)
+        piloting.circle(times, self.radius, self.period, self.start, self.ramp, states)
         return states
 
 
@@ -124,9 +114,9 @@ class Observer:
             raise ValueError(
                 f"pendulum_measurement must be 'position' or 'direction', not {piloting.pendulum_measurement!r}"
             )
-        from fiplib import kernels
+        from fiplib.kernels import poses
 
-        self._kernels, self._piloting = kernels, piloting
+        self._observe, self._piloting = poses.observe, piloting
         self._stamp: int | None = None
         self._memory = np.zeros(10)
 
@@ -144,7 +134,7 @@ class Observer:
         self._stamp = measurement.stamp
         used = 0.0 if self._piloting.pendulum_measurement == "position" else length
         observed, frame = np.empty(13), np.concatenate(measurement[1:], dtype=float)
-        self._kernels.observe(frame, used, elapsed, self._piloting.velocity_cutoff, self._memory, observed)
+        self._observe(frame, used, elapsed, self._piloting.velocity_cutoff, self._memory, observed)
         height, climb_rate, yaw = observed[10:].tolist()
         return observed[:10], (height, climb_rate, yaw)
 
@@ -158,7 +148,7 @@ class Pilot:
     """
 
     def __init__(self, params: Params, reference: Reference) -> None:
-        from fiplib import kernels
+        from fiplib.kernels import piloting as loops
 
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
@@ -168,11 +158,10 @@ class Pilot:
         self._mpc = MPC(params)
         self._gains = self._feedback()
         self._observer = Observer(params.piloting)
-        self._kernels, self._about = kernels, kernels.pilot_constants(params, reference.height)
+        self._loops, self._about = loops.answer, loops.pilot_constants(params, reference.height)
         self._integrals = np.zeros(2)
         self._horizon = np.arange(params.control.nodes + 1) * params.control.step
-        self._tick_ns = round(NANO / params.piloting.control_rate)
-        self._slack_ns = round(NANO / params.piloting.mocap_rate / 2)
+        self._least = least_period(params.piloting)
         self._first: int | None = None
         self._last: int | None = None
 
@@ -195,12 +184,10 @@ class Pilot:
     def observe(self, now: int, measurement: Measurement) -> Tick | None:
         """The first part of ``step``: take one frame; at a control tick, what a controller needs to know."""
         state, altitude = self._observer.update(measurement, self.length)
-        if isinstance(self._sampler, RawSchedule):
-            self._sampler.push_frame(measurement)
+        self._sampler.push_frame(measurement)
         if self._first is None:
             self._first = now
-        # half a frame early counts: arrival times jitter about the tick
-        if self._last is not None and now - self._last < self._tick_ns - self._slack_ns:
+        if self._last is not None and now - self._last < self._least:
             return None
         elapsed = 0.0 if self._last is None else (now - self._last) / NANO
         self._last = now
@@ -217,18 +204,15 @@ class Pilot:
         The feedback is that of the optimal plan where no bound is active: u = -K_0 (x - x_ref), cut off at the bounds.
         """
         limit = self.params.vehicle.max_body_rate
-        return np.clip(self._gains @ (tick.state - place), -limit, limit)
+        return np.clip((self._gains * (tick.state - place)).sum(axis=1), -limit, limit)
 
     def answer(self, tick: Tick, rates: NDArray, status: Status) -> Command:
         """The last part of ``step``: body rates (2,) in rad/s about x and y, with thrust and yaw, as a command."""
         command, state = np.empty(4), tick.state
-        loops = (tick.height, tick.climb_rate, tick.yaw, rates[0], rates[1], tick.elapsed)
-        self._kernels.answer(state[PHI], state[THETA], *loops, self._about, self._integrals, command)
+        measured = (state[PHI], state[THETA], tick.height, tick.climb_rate, tick.yaw)
+        self._loops(*measured, rates[0], rates[1], tick.elapsed, self._about, self._integrals, command)
         body_rate, thrust = command[:3], float(command[3])
-        if isinstance(self._sampler, RawSchedule):
-            self._sampler.push_command(tick.now, body_rate, thrust)
-        else:
-            self._sampler.push(tick.state, rates)
+        self._sampler.push_command(tick.now, tick.state, body_rate, thrust)
         return Command(tick.now, body_rate, thrust, tick.state, tick.reference[0], self.length, status)
 
     @property
@@ -266,6 +250,11 @@ class Pilot:
             signs = axis.sign * np.array((1.0, 1.0, 1.0, 1.0, axis.sign))
             gains[axis.input, list(axis.states)] = -signs * part.gains[0]
         return gains
+
+
+def least_period(piloting: Piloting) -> int:
+    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick."""
+    return round(NANO / piloting.control_rate) - round(NANO / piloting.mocap_rate / 2)
 
 
 def estimator_of(params: Params) -> Estimator:

@@ -1,5 +1,7 @@
 """What a flight leaves behind: frames, signals, events, and what they are recorded to."""
 
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -7,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib.params import NANO, STATE_NAMES, STATES, Params
+from fiplib.params import NANO, STATE_NAMES, STATES, FipError, Params
 
 
 class Measurement(NamedTuple):
@@ -25,17 +27,13 @@ class Measurement(NamedTuple):
 
 
 POSE = "geometry_msgs/msg/PoseStamped"
-
 POINT = "geometry_msgs/msg/PointStamped"
-
 JOINTS = "sensor_msgs/msg/JointState"
-
 ATTITUDE = "mavros_msgs/msg/AttitudeTarget"
-
 LOG = "rcl_interfaces/msg/Log"
 
 
-class BagError(Exception):
+class BagError(FipError):
     """A bag cannot be written or read; the message names the file and the topic and says what to do."""
 
 
@@ -50,7 +48,6 @@ class Role(NamedTuple):
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("m", "m", "m", "1", "1", "1", "1")
-
 _STATE_UNITS = tuple(signal.unit for signal in STATES)
 
 ROLES = {
@@ -114,13 +111,20 @@ class Series:
 
 
 class Event(NamedTuple):
-    """Something that happened: a disturbance, a failsafe, a change of a parameter."""
+    """Something that happened, as data and in words.
+
+    What ``data`` holds, by ``kind``: "push" (on the rod's COM) ``impulse``, [x, y] in N s, and ``duration`` in s;
+    "length" (prescribed) ``length`` in m; "status" (of the MPC) ``status``; "refusal" (of an estimate) ``reason``;
+    "mode" (of the failsafe) ``from``, ``to`` and ``reason``; "fall" and "note" nothing.
+    """
 
     stamp: int
     """ns"""
     level: str
-    """A key of ``recorder.LEVELS``, or the number in the message if it is none of them."""
+    """A key of ``LEVELS``, or the number in the message if it is none of them."""
     text: str
+    kind: str = "note"
+    data: Mapping[str, Any] = {}
 
 
 class TopicInfo(NamedTuple):
@@ -165,6 +169,11 @@ class Flight:
         return (max(int(body.stamp[-1]) for body in (self.vehicle, self.pendulum)) - self.start_ns) / NANO
 
     @property
+    def survived(self) -> bool:
+        """Whether no fall was recorded: rod and vehicle were up to the end."""
+        return all(event.kind != "fall" for event in self.events)
+
+    @property
     def simulated(self) -> bool:
         """Whether a simulator made this flight. Every figure and number made from it must say so."""
         return self.metadata["origin"] == "simulated"
@@ -177,82 +186,116 @@ class Flight:
         except (ValueError, TypeError, AttributeError) as error:
             raise BagError(f"{self.path}: its parameters are not those of this version of fiplib ({error})") from error
 
-    def why_not_refit(self) -> str | None:
-        """None if the length can be estimated from this flight, else one sentence that says why not."""
-        if self.command is None:
-            return (
-                f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
-                "record them, or say under which name they are recorded."
-            )
-        estimation = self.params.estimation
-        window = (estimation.window - 1) * estimation.sample_period
-        common = min(self.command.stamp[-1], self.vehicle.stamp[-1], self.pendulum.stamp[-1])
-        common = (common - max(self.command.stamp[0], self.vehicle.stamp[0], self.pendulum.stamp[0])) / NANO
-        if common < window:
-            return (
-                f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
-                f"{window:.1f} s: record a longer flight, or take a shorter window."
-            )
-        return None
-
 
 EPOCH = 1_767_225_600 * NANO
 """Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
 
 
 class Recorder(Protocol):
-    """What a flight is written to; times in ns. ``bags.Recorder`` writes a ROS 2 bag, ``MemoryRecorder`` keeps arrays."""
+    """Where a flight is written to. Stamps are int nanoseconds; ``bags.BagRecorder`` writes a ROS 2 bag.
 
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
-    def state(self, stamp: int, values: ArrayLike) -> None: ...
-    def reference(self, stamp: int, values: ArrayLike) -> None: ...
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
-    def event(self, stamp: int, level: str, text: str) -> None: ...
-    def truth(self, stamp: int, values: ArrayLike) -> None: ...
-    def truth_length(self, stamp: int, length: float) -> None: ...
-
-
-class MemoryRecorder:
-    """A recorder in memory: ``tape["state"]`` is an array of (time in s since the start, values...).
-
-    ``stamps`` and ``values`` hold the same by topic, times in ns; ``replay.flight_of`` makes a ``Flight`` of them.
+    A recorder takes ``numbers`` and events; the other methods say which numbers those are.
     """
 
-    def __init__(self) -> None:
-        self.stamps: dict[str, list[int]] = {}
-        self.values: dict[str, list[tuple[float, ...]]] = {}
-        self.events: list[tuple[int, str, str]] = []
+    failed: str | None = None
+    """Why the recording stopped, in one sentence; ``None`` while it goes on."""
 
-    def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self.stamps.setdefault(topic, []).append(stamp)
-        self.values.setdefault(topic, []).append(values)
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+        """Take one message: the numbers that ``ROLES`` names, and for a pose the time at which it was received."""
+        ...
 
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
-        self._add(body, stamp, *position, *orientation)
-        self.stamps.setdefault(f"{body} received", []).append(received)
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
+        """Take what happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
+        ...
 
-    def state(self, stamp: int, values: ArrayLike) -> None:
-        self._add("state", stamp, *values)
+    def pose(
+        self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
+    ) -> None:
+        """Pose of ``vehicle`` or ``pendulum``: position (3,) in m, quaternion (4,) as x, y, z, w.
 
-    def reference(self, stamp: int, values: ArrayLike) -> None:
-        self._add("reference", stamp, *values)
+        ``stamp`` is the time of exposure, ``received`` the time of delivery.
+        """
+        self.numbers(body, stamp, (*position, *orientation), received)
 
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
-        self._add("command", stamp, *rates, thrust)
+    def state(self, stamp: int, values: Sequence[float]) -> None:
+        """The state the controller used, (10,) in the order of ``params.STATES``."""
+        self.numbers("state", stamp, values)
+
+    def reference(self, stamp: int, values: Sequence[float]) -> None:
+        """The reference at this tick, (10,) in the order of ``params.STATES``."""
+        self.numbers("reference", stamp, values)
+
+    def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
+        """Body rates (3,) in rad/s and normalised thrust, 0 to 1. A bag carries thrust in single precision."""
+        self.numbers("command", stamp, (*rates, thrust))
 
     def length(self, stamp: int, used: float, raw: float, std: float) -> None:
-        self._add("length", stamp, used, raw, std)
+        """Length that the controller uses, the raw estimate, and its standard deviation (both may be NaN), in m."""
+        self.numbers("length", stamp, (used, raw, std))
 
-    def event(self, stamp: int, level: str, text: str) -> None:
-        self.events.append((stamp, level, text))
-
-    def truth(self, stamp: int, values: ArrayLike) -> None:
-        self._add("truth_state", stamp, *values)
+    def truth(self, stamp: int, values: Sequence[float]) -> None:
+        """True state, (11,): ``params.STATES`` and the altitude z. Simulator only."""
+        self.numbers("truth_state", stamp, values)
 
     def truth_length(self, stamp: int, length: float) -> None:
-        self._add("truth_length", stamp, length)
+        """True length of the rod in m. Simulator only."""
+        self.numbers("truth_length", stamp, (length,))
 
-    def __getitem__(self, topic: str) -> NDArray:
-        seconds = (np.array(self.stamps.get(topic, []), dtype=np.int64) - EPOCH) / NANO
-        return np.column_stack([seconds, np.array(self.values.get(topic, []))]) if len(seconds) else np.zeros((0, 0))
+
+class MemoryRecorder(Recorder):
+    """Keeps a flight in memory, and hands it on to another recorder if there is one.
+
+    ``stamps`` (ns) and ``values`` by role, and ``events``, are what has come so far; ``flight`` makes a flight of it.
+    """
+
+    def __init__(self, other: Recorder | None = None) -> None:
+        self._other = other
+        self.stamps: defaultdict[str, list[int]] = defaultdict(list)
+        self.values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
+        self.events: list[Event] = []
+
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+        self.stamps[role].append(stamp)
+        self.values[role].append(tuple(values))
+        if received is not None:
+            self.stamps[f"{role} received"].append(received)
+        if self._other:
+            self._other.numbers(role, stamp, values, received)
+
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
+        self.events.append(Event(stamp, level, text, kind, data or {}))
+        if self._other:
+            self._other.event(stamp, level, text, kind, data)
+
+    def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
+        """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
+        return flight_of(path, metadata, self.stamps, self.values, self.events)
+
+
+def flight_of(
+    path: str | Path,
+    metadata: dict[str, Any],
+    stamps: Mapping[str, ArrayLike],
+    values: Mapping[str, ArrayLike],
+    events: Iterable[Event],
+) -> Flight:
+    """The flight of stamps (ns) and values by role, as a ``MemoryRecorder`` keeps them; the arrays are copied."""
+    stamps = {role: np.array(known, np.int64) for role, known in stamps.items()}
+    values = {role: np.array(known, np.float64) for role, known in values.items()}
+    for array in (*stamps.values(), *values.values()):
+        array.flags.writeable = False
+    bodies = {
+        body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
+        for body in ("vehicle", "pendulum")
+    }
+    series = {
+        role: Series(stamps[role], values[role], entry.names, entry.units) if role in stamps else None
+        for role, entry in ROLES.items()
+        if role not in (*bodies, "events")
+    }
+    start = int(min(poses.stamp[0] for poses in bodies.values()))
+    return Flight(Path(path), metadata, events=tuple(events), start_ns=start, topics=(), **bodies, **series)

@@ -8,9 +8,9 @@ after the delay and lag of the inner loop.
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,8 +22,14 @@ from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
-from fiplib.pilot import Circle, Command, Hover, Pilot, Reference, estimator_of
-from fiplib.recording import EPOCH, Measurement, Recorder
+from fiplib.pilot import Circle, Hover, Pilot, Reference, estimator_of
+from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
+
+GROUND = 0.05
+"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
+
+NOISE_FRAMES = 240
+"""Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame in real time."""
 
 
 class Push(NamedTuple):
@@ -32,6 +38,11 @@ class Push(NamedTuple):
     start: float
     impulse: tuple[float, float]
     duration: float = 0.05
+
+    def event(self, stamp: int) -> Event:
+        """The event to record when the push begins, at ``stamp`` ns."""
+        data = {"impulse": list(self.impulse), "duration": self.duration}
+        return Event(stamp, "info", f"push of {1e3 * math.hypot(*self.impulse):g} mN s on the rod's COM", "push", data)
 
 
 @dataclass(frozen=True)
@@ -51,9 +62,7 @@ class Scenario:
     seed: int = 1
 
     def metadata(self) -> dict[str, Any]:
-        """What a bag of this flight carries about its origin; not ``safety`` and ``radio``, as ``fly`` uses neither."""
-        params = self.params.to_dict()
-        del params["safety"], params["radio"]
+        """Return what a bag of this flight carries about its origin."""
         return {
             "origin": "simulated",
             "version": __version__,
@@ -63,7 +72,7 @@ class Scenario:
             "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
-            "params": params,
+            "params": self.params.to_dict(),
         }
 
 
@@ -77,7 +86,7 @@ class Plant:
     """
 
     def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
-        from fiplib import kernels
+        from fiplib.kernels import poses, vehicle
 
         simulation = params.simulation
         self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
@@ -85,25 +94,26 @@ class Plant:
         self.x = np.zeros(20)
         self.x[PLANT["position"]] = position
         self.x[9] = 1.0
-        direction = np.array([*lean, 0.0]) / self._radius
-        direction[2] = math.sqrt(1.0 - direction @ direction)
-        self.x[PLANT["direction"]] = direction
+        across, along = (float(offset) / self._radius for offset in lean)
+        self.x[PLANT["direction"]] = across, along, math.sqrt(1.0 - across * across - along * along)
         weight = (params.vehicle.mass + params.pendulum.mass) * GRAVITY
         self.x[PLANT["thrust"]] = weight
         self._commands: deque[tuple[int, NDArray]] = deque()
         self._held = np.array([0.0, 0.0, 0.0, weight])
         self._substep = 0
         latency = simulation.mocap_latency + simulation.rate_delay
-        self._delay = round(latency * simulation.plant_rate)
+        self.delay = round(latency * simulation.plant_rate)
+        """Substeps after which a command acts."""
         self._schedule = np.zeros((self.substeps, 4))
-        self._kernels, self._about = kernels, kernels.plant_constants(params)
+        self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
+        self._about = vehicle.plant_constants(params)
 
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
 
         In real time ``at`` says the substep at which it acts instead, counted from the start.
         """
-        self._commands.append((self._substep + self._delay if at is None else at, np.array([*body_rate, thrust])))
+        self._commands.append((self._substep + self.delay if at is None else at, np.array([*body_rate, thrust])))
 
     def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
@@ -111,135 +121,136 @@ class Plant:
             while self._commands and self._commands[0][0] <= self._substep + row:
                 self._held = self._commands.popleft()[1]
             self._schedule[row] = self._held
-        self._kernels.advance(self.x, self._schedule, np.array(force, dtype=float), self._about)
+        self._advance(self.x, self._schedule, np.array(force, dtype=float), self._about)
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
-        """The ten true states and the height z, in the order of ``recorder.ROLES["truth_state"]``."""
+        """The ten true states and the height z, in the order of ``recording.ROLES["truth_state"]``."""
         truth = np.empty(11)
-        self._kernels.true_state(self.x, self._radius, truth)
+        self._true_state(self.x, self._radius, truth)
         return truth
 
     @property
     def fallen(self) -> bool:
         """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
-        return self._kernels.fallen(self.x)
+        return self._fallen(self.x)
 
 
 class Mocap:
     """Motion capture of both bodies: seeded noise, then rounding to the single precision that NatNet streams."""
 
     def __init__(self, params: Params, frames: int, rng: np.random.Generator) -> None:
-        from fiplib import kernels
+        from fiplib.kernels import poses
 
-        self._kernels = kernels
+        self._expose = poses.expose
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
-        self._noise = rng.normal(size=(frames, 12)) * scale
+        self.noise = rng.normal(size=(frames, 12)) * scale
+        """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
         self._radius = params.pendulum.length / 2
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
         """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
         frame = np.empty(14)
-        self._kernels.expose(x, self._radius, self._noise[index], frame)
+        self._expose(x, self._radius, self.noise[index], frame)
         return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
 
 
-class Outcome(NamedTuple):
-    """How a simulated flight ended: seconds flown, and whether rod and vehicle were still up."""
+class Rates(Protocol):
+    """What ``Command`` and a setpoint have in common: ``body_rate`` (3,) in rad/s, ``thrust`` normalised to [0, 1]."""
 
-    duration: float
-    survived: bool
+    @property
+    def body_rate(self) -> ArrayLike: ...
+    @property
+    def thrust(self) -> float: ...
 
 
-def fly(
-    scenario: Scenario,
-    recorder: Recorder,
-    progress: Callable[[float], None] | None = None,
-    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
-) -> Outcome:
-    """Fly a scenario in the simulator, through the pilot, into a recorder.
+class PushSchedule:
+    """Pushes frame by frame, ``rate`` of them a second."""
+
+    def __init__(self, pushes: Iterable[Push], rate: float) -> None:
+        self._pushes, self._rate = deque(pushes), rate
+
+    def at(self, frame: int) -> tuple[NDArray, Push | None]:
+        """Force (3,) in N on the rod's COM over a frame, the next one; and the push that begins in it, if one does."""
+        seconds, force, begun = frame / self._rate, np.zeros(3), None
+        if self._pushes and seconds >= self._pushes[0].start:
+            push = self._pushes[0]
+            if seconds < push.start + 1 / self._rate:
+                begun = push
+            force[:2] = np.array(push.impulse) / push.duration
+            if seconds >= push.start + push.duration - 1 / self._rate:
+                self._pushes.popleft()
+        return force, begun
+
+
+class SimulatedVehicle:
+    """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
     Args:
-        scenario: the flight.
-        recorder: where it is written to.
-        progress: called with the simulated seconds done, about once per simulated second.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot is not told.
-
-    Returns:
-        How it ended; a fall ends the flight early and is recorded as an event.
+        scenario: start, reference, pushes, parameters and seed of the flight.
+        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
-    params, seed = scenario.params, scenario.seed
-    rate = params.piloting.mocap_rate
-    frames = round(scenario.duration * rate)
-    rng = np.random.default_rng(seed)
-    start = scenario.reference.at(np.zeros(1))[0]
-    lean = rng.normal(size=2) * params.simulation.initial_lean
-    plant = vehicle(params, (start[0], start[2], scenario.reference.height), lean)
-    mocap, pilot = Mocap(params, frames, rng), Pilot(params, scenario.reference)
-    estimator = SimulatedEstimator(params, seed)
-    latency = round(params.simulation.mocap_latency * NANO)
-    told = deque(scenario.told_lengths)
-    pushes = deque(scenario.pushes)
-    status, refused = Status.OPTIMAL, None
 
-    recorder.truth_length(EPOCH, params.pendulum.length)
-    recorder.length(EPOCH, pilot.length, math.nan, math.nan)
-    for index in range(frames):
-        seconds = index / rate
-        stamp = EPOCH + round(index * NANO / rate)
-        now = stamp + latency
-        measurement = mocap.frame(index, stamp, plant.x)
-        recorder.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
-        recorder.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
-        recorder.truth(stamp, plant.truth())
-        command = pilot.step(now, measurement)
-        if command is not None:
-            plant.command(command.body_rate, command.thrust * params.vehicle.max_thrust)
-            _record_command(recorder, command, status)
-            status = command.status
-        if estimate := estimator.deliver(now, pilot.window_due()):
-            if estimate.reason is None:
-                used = pilot.receive_estimate(estimate.length, estimate.standard_deviation)
-                recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            elif estimate.reason != refused:
-                recorder.event(now, "warn", f"no estimate: {estimate.reason}")
-            refused = estimate.reason
-        if told and seconds >= told[0][0]:
-            length = told.popleft()[1]
-            recorder.event(now, "warn", f"pilot is told the length {length:g} m")
-            recorder.length(now, pilot.receive_estimate(length), length, math.nan)
-        force = np.zeros(3)
-        if pushes and seconds >= pushes[0].start:
-            push = pushes[0]
-            if seconds < push.start + 1 / rate:
-                recorder.event(now, "info", f"push of {1e3 * math.hypot(*push.impulse):g} mN s on the rod's COM")
-            force[:2] = np.array(push.impulse) / push.duration
-            if seconds >= push.start + push.duration - 1 / rate:
-                pushes.popleft()
-        plant.advance(force)
-        if plant.fallen:
-            recorder.event(now, "error", "rod or vehicle fell: flight ended")
-            return Outcome(seconds, False)
-        if progress and index % round(rate) == 0:
-            progress(seconds)
-    return Outcome(scenario.duration, True)
+    def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
+        self._params, self.rate = scenario.params, scenario.params.piloting.mocap_rate
+        self._rng = np.random.default_rng(scenario.seed)
+        start = scenario.reference.at(np.zeros(1))[0]
+        lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
+        self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height), lean)
+        self.pushes = PushSchedule(scenario.pushes, self.rate)
+        self._frames = 0
+        self.flown: int | None = None
+        """Frames since it was first commanded; ``None`` before."""
+
+    def mocap(self, frames: int) -> Mocap:
+        """Motion capture of the next frames: their noise follows that of the frames before."""
+        return Mocap(self._params, frames, self._rng)
+
+    def measure(self, stamp: int) -> Measurement:
+        """The frame exposed now, at ``stamp`` ns."""
+        index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
+        if index == 0:
+            self._mocap = self.mocap(NOISE_FRAMES)
+        return self._mocap.frame(index, stamp, self.plant.x)
+
+    def command(self, command: Rates, at: int | None = None) -> None:
+        """Take a command, to act after the usual delay or at a substep of the plant."""
+        self.flown = self.flown or 0
+        self.plant.command(command.body_rate, command.thrust * self._params.vehicle.max_thrust, at)
+
+    def advance(self) -> Push | None:
+        """One frame further; the push that begins in it, if one does: record its ``event``."""
+        if self.flown is None or self.plant.x[2] < GROUND:
+            return None
+        force, begun = self.pushes.at(self.flown)
+        self.plant.advance(force)
+        self.flown += 1
+        return begun
 
 
-def _record_command(recorder: Recorder, command: Command, before: Status) -> None:
-    recorder.state(command.stamp, command.state)
-    recorder.reference(command.stamp, command.reference)
-    recorder.command(command.stamp, command.body_rate, command.thrust)
-    if command.status is not before:
-        recorder.event(command.stamp, "info", f"MPC status {command.status.value}")
+class ParallelEstimator(Protocol):
+    """An estimator that runs beside the flight: the simulator's, or one in a process of its own."""
+
+    remarks: deque[tuple[str, str]]
+    """(level, text) of what it has to say about itself; whoever reads them takes them away."""
+    seconds: float
+    """How long its last run took, s; nan where that is not known."""
+
+    def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
+        """Give it a window (if one is due) at ``now`` ns; its newest estimate, once."""
+        ...
 
 
 class SimulatedEstimator:
     """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
 
+    seconds = math.nan
+
     def __init__(self, params: Params, seed: int) -> None:
         self._params, self._seed, self._runs = params, seed, 0
         self._estimate = estimator_of(params).function
         self._ready: tuple[int, Estimate] | None = None
+        self.remarks: deque[tuple[str, str]] = deque()
 
     @property
     def due(self) -> int | None:
@@ -257,6 +268,127 @@ class SimulatedEstimator:
             due = now + round(self._params.simulation.estimation_latency * NANO)
             self._ready = (due, self._estimate(window, self._params, rng))
         return answer
+
+
+class LengthUpdates:
+    """The lengths that a pilot receives in flight: those prescribed by the scenario, and those that are estimated.
+
+    Args:
+        scenario: its ``told_lengths`` are the prescribed ones.
+        estimator: beside the flight, or ``None``.
+        receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
+        recorder: of lengths, refusals and the estimator's remarks.
+        say: takes the remarks, too.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        estimator: ParallelEstimator | None,
+        receive: Callable[[int, float, float], float],
+        recorder: Recorder,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._prescribed, self._estimator = deque(scenario.told_lengths), estimator
+        self._receive, self._recorder, self._say = receive, recorder, say
+        self.latest = Estimate(math.nan, math.nan)
+        """The last estimate that was not refused."""
+        self._refused: str | None = None
+
+    @property
+    def prescribed_at(self) -> float:
+        """Seconds after the start at which the next prescribed length is due; inf if there is none."""
+        return self._prescribed[0][0] if self._prescribed else math.inf
+
+    def update(self, now: int, seconds: float, window: Window | RawWindow | None) -> None:
+        """One frame at ``now`` ns, ``seconds`` after the start (nan before it), with a window if a run is due."""
+        if self._estimator is not None:
+            estimate = self._estimator.deliver(now, window)
+            while self._estimator.remarks:  # one at a time: another thread may add to them
+                level, text = self._estimator.remarks.popleft()
+                self._recorder.event(now, level, text)
+                self._say(text)
+            if estimate is not None:
+                self._estimated(now, estimate)
+        if seconds >= self.prescribed_at:
+            length = self._prescribed.popleft()[1]
+            self._recorder.event(now, "warn", f"pilot is told the length {length:g} m", "length", {"length": length})
+            self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
+
+    def _estimated(self, now: int, estimate: Estimate) -> None:
+        reason = estimate.reason
+        if reason is None:
+            used = self._receive(now, estimate.length, estimate.standard_deviation)
+            self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
+            self.latest = estimate
+        elif reason != self._refused:
+            self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
+        self._refused = reason
+
+
+def fly(
+    scenario: Scenario,
+    recorder: Recorder | None = None,
+    progress: Callable[[float], None] | None = None,
+    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
+) -> Flight:
+    """Fly a scenario in the simulator, through the pilot.
+
+    Args:
+        scenario: the flight.
+        recorder: where it is also written to.
+        progress: called with the simulated seconds done, about once per simulated second.
+        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
+
+    Returns:
+        The flight, as ``bags.read`` gives it from its bag; a fall ends it early and is recorded as an event.
+    """
+    params, rate = scenario.params, scenario.params.piloting.mocap_rate
+    tape = MemoryRecorder(recorder)
+    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
+    estimator = SimulatedEstimator(params, scenario.seed)
+    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+    latency = round(params.simulation.mocap_latency * NANO)
+    status = Status.OPTIMAL
+
+    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.length(EPOCH, pilot.length, math.nan, math.nan)
+    for index in range(round(scenario.duration * rate)):
+        seconds = index / rate
+        stamp = EPOCH + round(index * NANO / rate)
+        now = stamp + latency
+        measurement = simulated.measure(stamp)
+        tape.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
+        tape.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
+        tape.truth(stamp, simulated.plant.truth())
+        command = pilot.step(now, measurement)
+        if command is not None:
+            simulated.command(command)
+            tape.state(now, command.state)
+            tape.reference(now, command.reference)
+            tape.command(now, command.body_rate, command.thrust)
+            if command.status is not status:
+                status = command.status
+                tape.event(*event_of_status(now, status))
+        lengths.update(now, seconds, pilot.window_due())
+        if push := simulated.advance():
+            tape.event(*push.event(now))
+        if simulated.plant.fallen:
+            tape.event(*event_of_fall(now))
+            break
+        if progress and index % round(rate) == 0:
+            progress(seconds)
+    return tape.flight(scenario.name, scenario.metadata())
+
+
+def event_of_status(stamp: int, status: Status) -> Event:
+    """The event to record when the MPC's answer is of another kind than the one before, at ``stamp`` ns."""
+    return Event(stamp, "info", f"MPC status {status.value}", "status", {"status": status.value})
+
+
+def event_of_fall(stamp: int) -> Event:
+    """The event that ends a flight early, at ``stamp`` ns."""
+    return Event(stamp, "error", "rod or vehicle fell: flight ended", "fall")
 
 
 def _scenarios() -> dict[str, Scenario]:

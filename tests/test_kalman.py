@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from fiplib import kalman, kernels
+from fiplib import kalman
 from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.kalman import READINGS, Window
+from fiplib.kernels.model import discretise
 from fiplib.params import AXES, Estimation
 
 STEP = 0.1
@@ -275,7 +276,7 @@ def test_the_compiled_loops_discretise_as_casadi_does() -> None:
     rows = np.array(AXES[0].states)
     for length in LENGTHS:
         for order, transition in ((1, "euler"), (4, "rk4")):
-            kernels.discretise(length, STEP, order, f, b)
+            discretise(length, STEP, order, f, b)
             model = kalman.linear_model(length, STEP, transition)
             # rounding of a handful of products
             np.testing.assert_allclose(f, model.transition[np.ix_(rows, rows)], rtol=1e-13, atol=1e-15)

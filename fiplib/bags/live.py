@@ -1,9 +1,9 @@
 """A recorder for flights in real time: a second behind at most, and never in the way of the control.
 
-``LiveRecorder`` takes the same calls as ``Recorder`` and hands the bytes to a process of its own, through a pipe and
+``LiveRecorder`` takes the same calls as ``BagRecorder`` and hands the bytes to a process of its own, through a pipe and
 without ever waiting. That process sorts, compresses and writes them, four times a second, in chunks of which each can
-be read without the others: whatever is killed in flight leaves a file that ``python -m fiplib.bags.reader recover`` reads. If
-only the script dies, the process finishes the bag properly.
+be read without the others: whatever is killed in flight leaves a file that ``fip bag recover`` reads. If only the
+script dies, the process finishes the bag properly.
 
 Runs on POSIX systems.
 """
@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from operator import itemgetter
@@ -41,7 +41,8 @@ PERIOD = 0.25
 """s from one chunk to the next. A kill takes these and ``_HOLD``; the rest of the second is for a machine too busy."""
 _HOLD = NANO // 10  # ns that messages wait for earlier ones of another topic; a pose arrives within some 20 ms
 _NAP = 0.02  # s of messages taken at once: to wake for each would take the control's time on a small computer
-_RESERVE = 4 << 20  # bytes kept for the end of the recording when the disk is full: the index of an hour, and more
+RESERVE = 4 << 20
+"""Bytes kept for the end of the recording when the disk is full: the index of an hour, and more."""
 _BACKLOG = 32 << 20  # bytes kept in memory when the disk stalls: two minutes of flight
 _PATIENCE = 30.0  # s that start and end of a recording may take
 
@@ -52,7 +53,7 @@ _END = 255  # in place of a role: the flight was recorded to its end
 
 
 class LiveRecorder(BagRecorder):
-    """Records a flight in real time; calls, metadata and bag are those of ``Recorder``.
+    """Records a flight in real time; calls, metadata and bag are those of ``BagRecorder``.
 
     In flight no method raises and none waits: what cannot be recorded is dropped. If the recording stops (a full disk,
     a killed process), ``failed`` says why in one sentence, which ``close`` raises as a BagError when the flight is over
@@ -62,8 +63,6 @@ class LiveRecorder(BagRecorder):
         BagError: the recording cannot begin: the path exists already, cannot be written, or the metadata are not fit.
     """
 
-    failed: str | None = None
-    """Why the recording stopped, or None."""
     dropped: int = 0
     """Messages that were not recorded, for whatever reason."""
     refused: str | None = None
@@ -100,6 +99,11 @@ class LiveRecorder(BagRecorder):
             self._release()
             raise BagError(words if words.startswith(f"{self.path}:") else f"{self.path}: cannot record here ({words})")
 
+    @property
+    def pid(self) -> int:
+        """The id of the process that writes."""
+        return self._process.pid
+
     def pose(
         self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
     ) -> None:
@@ -108,15 +112,17 @@ class LiveRecorder(BagRecorder):
         except Exception as error:  # whatever it is: a flight is not ended by its recording
             self._refuse(error)
 
-    def event(self, stamp: int, level: str, text: str) -> None:
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
+    ) -> None:
         try:
-            super().event(stamp, level, text)
+            super().event(stamp, level, text, kind, data)
         except Exception as error:
             self._refuse(error)
 
-    def _numbers(self, role: str, stamp: int, values: Any, received: int | None = None) -> None:
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
         try:
-            super()._numbers(role, stamp, values, received)
+            super().numbers(role, stamp, values, received)
         except Exception as error:
             self._refuse(error)
 
@@ -180,7 +186,7 @@ class LiveRecorder(BagRecorder):
         self._process.stdout.close()
         if self.failed:
             if not (self.path / "metadata.yaml").exists():
-                self.failed += f". The bag is not finished: python -m fiplib.bags.reader recover {self.path}"
+                self.failed += f". The bag is not finished: fip bag recover {self.path}"
             missing = f" (at least {self.dropped} messages of the flight are missing)" if self.dropped else ""
             raise BagError(self.failed + missing)
 
@@ -258,9 +264,9 @@ class _Bag(BagRecorder):
             # Without a name: gone with this process, however that ends.
             self._reserve = tempfile.TemporaryFile(dir=self.path)
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE)
+                os.posix_fallocate(self._reserve.fileno(), 0, RESERVE)
             else:
-                self._reserve.write(bytes(_RESERVE))
+                self._reserve.write(bytes(RESERVE))
                 self._reserve.flush()
             self._say_what_it_is()
             for folder in (self.path, self.path.parent):

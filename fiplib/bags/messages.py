@@ -1,7 +1,7 @@
-"""Flight -> ROS 2 bag: the topics, the bytes of their messages, and the recorder that writes them.
+"""The bytes of the messages in a bag.
 
-``ROLES`` is the bag contract. ``Layout`` knows where the numbers lie in a message; the recorder writes with it and
-``fiplib.bags.reader`` reads with it, so that both sides share one definition.
+``Layout`` knows where the numbers lie in a message; ``fiplib.bags.writer`` writes with it and ``fiplib.bags.reader``
+reads with it, so that both sides share one definition.
 """
 
 import functools

@@ -1,11 +1,11 @@
 """ROS 2 bag -> Flight: a recorded flight as plain arrays, checked.
 
-``python -m fiplib.bags.reader info BAG`` describes one, ``python -m fiplib.bags.reader recover BAG`` saves what is left of a damaged
-one. A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a
-bag is one ``BagError`` that names the file and the topic and says what to do.
+A bag with the two motion-capture topics alone is a flight; everything else may be absent. Whatever is wrong with a bag
+is one ``BagError`` that names the file and the topic and says what to do.
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -63,7 +63,9 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
     for role, received in messages.items():
         if received:
             try:
-                decoded[role] = _events(received) if role == "events" else _decode(role, received)
+                decoded[role] = (
+                    _events(received, metadata.get("pushes")) if role == "events" else _decode(role, received)
+                )
             except Exception as error:  # whatever the library raises on damaged bytes
                 raise BagError(f"{path}: topic {names[role]} ({role}): {_line(error)}") from error
     return Flight(
@@ -103,7 +105,7 @@ def _damage(path: Path, source: Path, error: Exception) -> str:
         words = "not finished: it is being recorded still, or its recording was killed"
     with suppress(BagError):
         if count := intact_messages(source):
-            return f"{words}. {count} messages are intact; into a new bag with: python -m fiplib.bags.reader recover {path}"
+            return f"{words}. {count} messages are intact; into a new bag with: fip bag recover {path}"
     if unfinished:
         return f"{words}. It holds no message yet"
     return f"{words}. Nothing in it can be read: copy it again from where it was recorded, and keep this one"
@@ -230,15 +232,39 @@ def _decode_one_by_one(message_type: str, data: Sequence[bytes]) -> tuple[np.nda
     return np.array(stamps, np.int64), np.array(rows, np.float64)
 
 
-def _events(received: _Received) -> tuple[Event, ...]:
+def _events(received: _Received, pushes: Any) -> tuple[Event, ...]:
     levels = {number: name for name, number in LEVELS.items()}
     messages = [typestore().deserialize_cdr(data, ROLES["events"].type) for _, data in received]
     stamps = np.array([message.stamp.sec * NANO + message.stamp.nanosec for message in messages], np.int64)
     _check_stamps(stamps, strict=False)
-    return tuple(
-        Event(int(stamp), levels.get(message.level, str(message.level)), message.msg)
-        for stamp, message in zip(stamps, messages, strict=True)
-    )
+    events, left = [], [push for push in pushes if isinstance(push, dict)] if isinstance(pushes, list) else []
+    for stamp, message in zip(stamps, messages, strict=True):
+        if message.name == "fip" and message.function:
+            kind, data = message.function, json.loads(message.file or "{}")
+        else:
+            kind, data = _event_from_words(message.msg, left)
+        events.append(Event(int(stamp), levels.get(message.level, str(message.level)), message.msg, kind, data))
+    return tuple(events)
+
+
+_WORDS = {
+    "push": r"push",
+    "length": r"pilot is told the length (?P<length>[-+.\de]+) m",
+    "fall": r"rod or vehicle fell",
+    "status": r"MPC status (?P<status>.*)",
+    "refusal": r"no estimate: (?P<reason>.*)",
+    "mode": r"failsafe: (?P<from>.*) -> (?P<to>.*?): (?P<reason>.*)",
+}
+
+
+def _event_from_words(text: str, pushes: list[dict[str, Any]]) -> tuple[str, dict[str, Any]]:
+    """Kind and data of an event that is a sentence only, as they all were once; takes a push from the list."""
+    for kind, pattern in _WORDS.items():
+        if found := re.match(pattern, text, re.DOTALL):
+            if kind == "push":
+                return kind, {key: value for key, value in pushes.pop(0).items() if key != "start"} if pushes else {}
+            return kind, {"length": float(found["length"])} if kind == "length" else found.groupdict()
+    return "note", {}
 
 
 def _check_stamps(stamp: np.ndarray, strict: bool) -> None:
@@ -260,6 +286,3 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 def _line(error: BaseException) -> str:
     """The words of an error on one line; its kind if it has none."""
     return " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__
-
-
-# --- command line --------------------------------------------------------------------------------------------------

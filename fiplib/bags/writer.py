@@ -11,13 +11,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
 from fiplib.bags.messages import Layout, checksum, typestore
 from fiplib.params import NANO
-from fiplib.recording import JOINTS, LEVELS, LOG, ORIGINS, ROLES, BagError
+from fiplib.recording import JOINTS, LEVELS, LOG, ORIGINS, ROLES, BagError, Recorder
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -53,7 +52,7 @@ def close_bag(writer: Writer, entries: Mapping[str, str], counts: Mapping[str, i
         raise BagError(f"{writer.path}: cannot finish the bag ({error})") from error
 
 
-class BagRecorder:
+class BagRecorder(Recorder):
     """Writes one flight as a ROS 2 bag (a directory with one MCAP file and metadata.yaml); a context manager.
 
     Stamps are int nanoseconds, from 0 (or the epoch) on. Messages are written in the order of their log time: for a
@@ -96,48 +95,18 @@ class BagRecorder:
     def _open(self) -> None:
         self._writer = open_bag(self.path)
 
-    def pose(
-        self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
+    def event(
+        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
     ) -> None:
-        """Pose of ``vehicle`` or ``pendulum``: position (3,) in m, quaternion (4,) as x, y, z, w.
-
-        ``stamp`` is the time of exposure, ``received`` the time of delivery.
-        """
-        if body not in ("vehicle", "pendulum"):
-            raise BagError(f"{self.path}: no such body {body!r}; bodies are vehicle and pendulum")
-        self._numbers(body, stamp, (*position, *orientation), received)
-
-    def state(self, stamp: int, values: Sequence[float]) -> None:
-        """The state the controller used, (10,) in the order of ``params.STATES``."""
-        self._numbers("state", stamp, values)
-
-    def reference(self, stamp: int, values: Sequence[float]) -> None:
-        """The reference at this tick, (10,) in the order of ``params.STATES``."""
-        self._numbers("reference", stamp, values)
-
-    def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
-        """Body rates (3,) in rad/s and normalised thrust, 0 to 1. The message carries thrust in single precision."""
-        self._numbers("command", stamp, (*rates, thrust))
-
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
-        """Length that the controller uses, the raw estimate, and its standard deviation (both may be NaN), in m."""
-        self._numbers("length", stamp, (used, raw, std))
-
-    def truth(self, stamp: int, values: Sequence[float]) -> None:
-        """True state, (11,): ``params.STATES`` and the altitude z. Simulator only."""
-        self._numbers("truth_state", stamp, values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        """True length of the rod in m. Simulator only."""
-        self._numbers("truth_length", stamp, (length, 0.0, 0.0))
-
-    def event(self, stamp: int, level: str, text: str) -> None:
-        """Something worth a word: ``level`` is a key of ``LEVELS``."""
         if level not in LEVELS:
             raise BagError(f"{self.path}: no such level {level!r} of an event; levels are {', '.join(LEVELS)}")
         stamp = self._time(stamp)
         time = typestore().types["builtin_interfaces/msg/Time"](*divmod(stamp, NANO))
-        message = typestore().types[LOG](time, LEVELS[level], "fip", text, "", "", 0)
+        try:
+            words = json.dumps(data, separators=(",", ":"), allow_nan=False) if data else ""
+        except (TypeError, ValueError) as error:
+            raise BagError(f"{self.path}: the data of an event ({kind}) do not fit into JSON ({error})") from error
+        message = typestore().types[LOG](time, LEVELS[level], "fip", text, words, kind, 0)
         self._put("events", stamp, bytes(typestore().serialize_cdr(message, LOG)))
 
     def _time(self, stamp: int) -> int:
@@ -146,10 +115,12 @@ class BagRecorder:
             raise BagError(f"{self.path}: the stamp {stamp} ns does not fit into a ROS time (0 to 2038)")
         return int(stamp)
 
-    def _numbers(
-        self, role: str, stamp: int, values: Sequence[float] | np.ndarray, received: int | None = None
-    ) -> None:
+    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
         stamp = self._time(stamp)
+        if received is not None and role not in ("vehicle", "pendulum"):
+            raise BagError(f"{self.path}: no such body {role!r}; bodies are vehicle and pendulum")
+        if role == "truth_length":  # travels as a point
+            values = (*values, 0.0, 0.0)
         try:
             data = self._layouts[role].encode(stamp, values)
         except (struct.error, OverflowError, TypeError) as error:

@@ -1,10 +1,9 @@
-"""What all estimators share: the estimate, the kind of window, the prior."""
+"""What all estimators share: the estimate, an entry of the registry, the prior. Imports no solver."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import NamedTuple
-
-from fiplib.params import Params
 
 
 @dataclass(frozen=True)
@@ -19,17 +18,18 @@ class Estimate:
     reason: str | None = None
 
 
+class Estimator(NamedTuple):
+    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'."""
+
+    path: str
+    kind: str
+
+    @property
+    def function(self) -> Callable[..., Estimate]:
+        """The function (window, params, rng) -> Estimate; its module is imported now."""
+        return resolve_name(f"{__package__}.{self.path}")
+
+
 PRIOR = (1.1, 0.5)
 """Mean and standard deviation in m of the length before any data, for the estimators that need one: the middle of the
 paper's interval from 0.2 to 2 m, which then is nearly +-2 deviations wide."""
-
-
-class Estimator(NamedTuple):
-    """A function (window, params, rng) -> Estimate, and the kind of window it takes: 'states' or 'raw'."""
-
-    function: Callable[..., Estimate]
-    kind: str
-
-
-def _within(length: float, params: Params) -> float:
-    return min(max(float(length), params.estimation.length_min), params.estimation.length_max)

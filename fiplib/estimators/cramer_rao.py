@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy  # its parts are imported when they are first used
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
@@ -34,7 +34,6 @@ REBASE = 24
 
 FREE = 17
 """Degrees of freedom of the plant's 20 states: attitude and direction are unit vectors, direction rate lies across."""
-
 
 OFFSETS = 4
 """Constants that a calibration leaves unknown: of the pendulum's centre of mass along x and y in m, and of the
@@ -82,7 +81,9 @@ def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = Non
     ):
         decay, source = np.exp(-period / max(lag, 1e-6)), commands[:, given]
         states[0, state] = source[0]
-        states[1:, state] = lfilter([1 - decay], [1, -decay], source[:-1], axis=0, zi=decay * source[:1])[0]
+        states[1:, state] = scipy.signal.lfilter([1 - decay], [1, -decay], source[:-1], axis=0, zi=decay * source[:1])[
+            0
+        ]
     chosen = (stamps >= (start_ns or stamps[0])) & (stamps <= (end_ns or stamps[-1]))
     return Motion(states[chosen], commands[chosen], period)
 

@@ -25,9 +25,9 @@ What no laboratory knows is not taken for known:
   against its thrust, are two constants per axis, fitted too. Taken for exact, a tenth of a millimetre of the first
   would pass for a centimetre of length (the study ``imperfections``).
 - *Thrust* is weighed against gravity by how the vehicle rises and sinks: the length goes with it.
-- *The inner loop.* Where the noise of motion capture does not explain the window, the tilt may also wander from what
-  the commands ask for: a random walk, its size as likely as possible (``WindowModel.likely_wander``). Commands that
-  come a little late or early do that, and so does real firmware.
+- *The inner loop.* Where the noise of motion capture does not explain the window, the tilt may drift from
+  the commanded one as a random walk, whose variance is estimated by maximum likelihood (``WindowModel.likely_wander``).
+  Commands that come a little late or early do that, and so does real firmware.
 
 The height of the pendulum's centre of mass is not used. Half the length could be read off it at once, in the simulator
 as in a laboratory whose motion capture knows where the centre of mass is; the paper's states do not hold it either.
@@ -35,11 +35,11 @@ as in a laboratory whose motion capture knows where the centre of mass is; the p
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
+import scipy  # its parts are imported when they are first used: they take a second
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import OptimizeResult, least_squares, minimize_scalar
-from scipy.signal import lfilter, savgol_filter
 
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import LEAD, RawWindow
@@ -67,7 +67,6 @@ over its own width (w goes with l^-1/2, so +-2 sd asks for +-10 % in w), and the
 LARGEST_MISFIT = 4.0
 """Refused above this mean squared residual over the stated noise: the model misses something, a push for example. Pure
 noise stays below 1.1 with 3600 residuals; up to here the standard deviation is inflated by the misfit's root."""
-
 
 BY_CHANCE = 4.0
 """Standard deviations of the mean squared residual within which noise alone explains it: 1.1 with 3600 residuals."""
@@ -132,13 +131,20 @@ def maximum_likelihood(
     return Estimate(math.nan, math.nan, reason)
 
 
+maximum_likelihood_calibrated = partial(maximum_likelihood, nuisances=())
+"""``maximum_likelihood`` that takes the calibration of motion capture for exact."""
+
+maximum_likelihood_free = partial(maximum_likelihood, nuisances=NUISANCES)
+"""``maximum_likelihood`` that fits all of ``NUISANCES``."""
+
+
 def _fit(
     model: "WindowModel",
     starts: Sequence[float],
     known: dict[str, float],
     nuisances: tuple[str, ...],
     tolerance: float = 1e-6,
-) -> tuple[OptimizeResult, float, float]:
+) -> tuple["scipy.optimize.OptimizeResult", float, float]:
     """The least-squares fit, in logarithms about the best start; its length in m, and its mean squared residual.
 
     ``tolerance`` is that of the search in these logarithms; the default is a thousandth of any standard deviation.
@@ -155,7 +161,9 @@ def _fit(
         return model.residuals(values[0], **known | dict(zip(nuisances, values[1:], strict=True)))
 
     # central differences of 1e-4 in the logarithm: their errors, 1e-8 and 1e-12 / 1e-4, are far below the noise
-    fit = least_squares(residuals, np.ones(len(scale)), method="lm", jac="3-point", diff_step=1e-4, xtol=tolerance)
+    fit = scipy.optimize.least_squares(
+        residuals, np.ones(len(scale)), method="lm", jac="3-point", diff_step=1e-4, xtol=tolerance
+    )
     length = float(first * math.exp(min(fit.x[0] - 1, 3)))
     return fit, length, 2 * fit.cost / (model.measured - model.unknowns - len(fit.x))
 
@@ -193,7 +201,7 @@ class WindowModel:
         lean = (window.pendulum - window.vehicle)[:, :2]
 
         def smooth(values: NDArray, derivative: int = 0) -> NDArray:
-            smoothed = savgol_filter(values, span, 2, deriv=derivative, delta=period, axis=0).T
+            smoothed = scipy.signal.savgol_filter(values, span, 2, deriv=derivative, delta=period, axis=0).T
             return np.array([np.interp(self._time, window.time - window.time[0], row) for row in smoothed])
 
         self._lean, self._lean_rate = smooth(lean), smooth(lean, 1)
@@ -245,7 +253,7 @@ class WindowModel:
             return float(np.sum(shares / grown + np.log(grown)))
 
         bounds = math.log(1e-4 * LARGEST_WANDER), math.log(LARGEST_WANDER)
-        return math.exp(minimize_scalar(minus_twice_log_likelihood, bounds=bounds, method="bounded").x)
+        return math.exp(scipy.optimize.minimize_scalar(minus_twice_log_likelihood, bounds=bounds, method="bounded").x)
 
     def residuals(self, length: float, inertia_factor: float, rate_lag: float) -> NDArray:
         """Whitened residuals of both axes at the best initial state for this length and these nuisances.
@@ -279,7 +287,7 @@ class WindowModel:
         integral = integral[held] + command[held] * (edges - acts[held])
         mean = np.diff(integral) / self._step
         decay = math.exp(-self._step / max(lag, 1e-6))
-        value, _ = lfilter([1 - decay], [1, -decay], mean, zi=[decay * mean[0]])
+        value, _ = scipy.signal.lfilter([1 - decay], [1, -decay], mean, zi=[decay * mean[0]])
         value = np.concatenate([[mean[0]], value])
         # lag * v' = command - v, integrated over a step
         mean = mean - lag * np.diff(value) / self._step
@@ -374,6 +382,6 @@ def _unstable(source: ArrayLike, w: float, step: float) -> NDArray:
     decay = math.exp(-z)
     last = (z - 1 + decay) / (w * z)
     weights = [last, (1 - decay) / w - last]
-    forwards = lfilter(weights, [1, -decay], source, axis=-1)
-    backwards = lfilter(weights, [1, -decay], np.flip(source, axis=-1), axis=-1)
+    forwards = scipy.signal.lfilter(weights, [1, -decay], source, axis=-1)
+    backwards = scipy.signal.lfilter(weights, [1, -decay], np.flip(source, axis=-1), axis=-1)
     return -(forwards + np.flip(backwards, axis=-1)) / (2 * w)

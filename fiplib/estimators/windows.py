@@ -1,7 +1,7 @@
 """What estimators are given, and what gathers it in flight.
 
 The paper's estimator takes states sampled in steps (``kalman.Window``, ``WindowSampler``); ours takes frames as
-measured and commands as sent (``RawWindow``, ``RawSchedule``).
+measured and commands as sent (``RawWindow``, ``RawSchedule``). Both are fed alike.
 """
 
 import math
@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fiplib.dynamics import euler_angles
 from fiplib.kalman import Window
@@ -45,21 +45,26 @@ class RawSampler:
     """Keeps the last ``seconds`` of frames, and the commands that belong to them."""
 
     def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
         self._span = round(seconds * NANO)
         self._frames: deque[tuple[int, NDArray]] = deque()
         self._commands: deque[tuple[int, NDArray]] = deque()
 
-    def push_frame(self, stamp: int, vehicle: ArrayLike, pendulum: ArrayLike, attitude: ArrayLike) -> None:
-        """Take a frame exposed at ``stamp`` ns: positions (3,) in m, roll, pitch, yaw in rad."""
+    def push_frame(self, measurement: Measurement) -> None:
+        """Take a frame as it arrives, before the command that answers it."""
+        stamp = measurement.stamp
         if self._frames and stamp <= self._frames[-1][0]:
             return
-        self._frames.append((stamp, np.concatenate([vehicle, pendulum, attitude])))
-        while self._frames[-1][0] - self._frames[0][0] > self._span:
+        attitude = euler_angles(measurement.vehicle_attitude)
+        self._frames.append(
+            (stamp, np.concatenate([measurement.vehicle_position, measurement.pendulum_position, attitude]))
+        )
+        while stamp - self._frames[0][0] > self._span:
             self._frames.popleft()
 
-    def push_command(self, now: int, body_rate: ArrayLike, thrust: float) -> None:
-        """Take a command given at ``now`` ns: at least omega_x, omega_y in rad/s, and normalised thrust."""
-        self._commands.append((now, np.array([*np.asarray(body_rate)[:2], thrust])))
+    def push_command(self, now: int, state: NDArray | None, body_rate: NDArray, thrust: float) -> None:
+        """Take a control tick at ``now`` ns: state (not used), body rates (3,) in rad/s and normalised thrust."""
+        self._commands.append((now, np.array([*body_rate[:2], thrust])))
         first = self._frames[0][0] if self._frames else now
         while len(self._commands) > 1 and self._commands[1][0] < first - LEAD * NANO:
             self._commands.popleft()
@@ -107,15 +112,18 @@ class WindowSampler:
         self._fresh = False
         self._last_run: int | None = None
 
-    def push(self, state: NDArray, applied: NDArray) -> None:
-        """Take the state (10,) and the applied body rates (2,) rad/s of one control tick."""
+    def push_frame(self, measurement: Measurement) -> None:
+        """Nothing: states come with the commands."""
+
+    def push_command(self, now: int, state: NDArray, body_rate: NDArray, thrust: float) -> None:
+        """Take a control tick: its state (10,) and applied body rates (3,) in rad/s."""
         self._fresh = len(self._pending) in (0, self._ticks)
         if self._fresh:
             if self._pending:
                 self._inputs.append(np.mean(self._pending, axis=0))
             self._pending = []
             self._states.append(state)
-        self._pending.append(applied)
+        self._pending.append(body_rate[:2])
 
     def due(self, now: int | None) -> Window | None:
         """The window, when it is full, a sample has just been taken, and ``run_period`` has passed since the last."""
@@ -129,7 +137,7 @@ class WindowSampler:
         return Window(np.array(self._states), inputs, self._step)
 
 
-class RawSchedule:
+class RawSchedule(RawSampler):
     """Gathers frames as measured and commands as sent, and keeps the schedule of an estimator of kind "raw".
 
     Frames count from ``LEAD`` after the first command on: what moved the vehicle before that is not known. The trusted
@@ -137,38 +145,32 @@ class RawSchedule:
     """
 
     def __init__(self, params: Params) -> None:
-        self._estimation = params.estimation
-        self.seconds = params.estimation.raw_window
+        super().__init__(params.estimation.raw_window)
+        self._period = params.estimation.run_period
         self._least = params.estimation.first_raw_window if params.piloting.handover == "trusted" else math.inf
         self._slack = 0.5 / params.piloting.mocap_rate
-        self._sampler = RawSampler(self.seconds)
         self._first_command: int | None = None
         self._fresh = False
         self._last_run: int | None = None
 
     def push_frame(self, measurement: Measurement) -> None:
-        """Take a frame as it arrives, before the command that answers it."""
         self._fresh = False
         if self._first_command is not None and measurement.stamp - self._first_command >= LEAD * NANO:
-            attitude = euler_angles(measurement.vehicle_attitude)
-            self._sampler.push_frame(
-                measurement.stamp, measurement.vehicle_position, measurement.pendulum_position, attitude
-            )
+            super().push_frame(measurement)
 
-    def push_command(self, now: int, body_rate: NDArray, thrust: float) -> None:
-        """Take the command (3,) rad/s and normalised thrust of a control tick at ``now`` ns."""
+    def push_command(self, now: int, state: NDArray | None, body_rate: NDArray, thrust: float) -> None:
         self._fresh = True
         if self._first_command is None:
             self._first_command = now
-        self._sampler.push_command(now, body_rate, thrust)
+        super().push_command(now, state, body_rate, thrust)
 
     def due(self, now: int | None) -> RawWindow | None:
         """The window, at a control tick, when it is long enough, and ``run_period`` has passed since the last."""
         if now is None or not self._fresh:
             return None
-        if self._last_run is not None and (now - self._last_run) / NANO < self._estimation.run_period - self._slack:
+        if self._last_run is not None and (now - self._last_run) / NANO < self._period - self._slack:
             return None
-        window = self._sampler.window(self._least)
+        window = self.window(self._least)
         if window is not None:
             self._last_run = now
         return window

@@ -1,1 +1,1 @@
-"""What flies a real vehicle: the failsafe around the pilot, its loop, and the links to vehicles."""
+"""Flying a real vehicle: the failsafe around the pilot, its loop, and the links to vehicles."""

@@ -1,4 +1,4 @@
-"""What a flight in real time shows on a terminal: a few redrawn lines; without one, a line now and then.
+"""The display of a flight in real time: a few redrawn lines on a terminal; elsewhere, a line now and then.
 
 Drawing happens in a thread of its own, so that a stalled or lost terminal holds up nothing else.
 """
@@ -17,7 +17,7 @@ UP, CLEAR = "\x1b[{}A", "\x1b[J"
 
 
 class Snapshot(NamedTuple):
-    """What is shown; angles in rad, lengths in m, times in s, nan where not known."""
+    """The quantities shown; angles in rad, lengths in m, times in s, nan where not known."""
 
     time: float = math.nan
     duration: float = math.nan
@@ -41,7 +41,7 @@ class Snapshot(NamedTuple):
 
 
 def lines(now: Snapshot) -> list[str]:
-    """The snapshot as lines of text."""
+    """Return the snapshot as lines of text."""
     where = ", ".join(f"{value:+.2f}" for value in now.position)
     interval = "no estimate yet"
     if math.isfinite(now.estimate):
@@ -62,7 +62,7 @@ def lines(now: Snapshot) -> list[str]:
 
 
 def line(now: Snapshot) -> str:
-    """The snapshot in one line."""
+    """Return the snapshot as one line."""
     clock = f"{now.time:.1f} s" if math.isfinite(now.time) else "not armed"
     return (
         f"{clock} {now.mode}{': ' + now.words if now.words else ''}, tilt {_degrees(now.tilt)}, rod "

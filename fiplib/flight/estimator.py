@@ -1,10 +1,12 @@
 """The estimator beside a flight in real time: a process of its own that may crash or hang without harm."""
 
+import importlib
 import math
 import multiprocessing
 import os
 import threading
 import time
+from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -15,13 +17,11 @@ import numpy as np
 
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
-from fiplib.flight.sender import ignore_the_terminal
+from fiplib.flight.limits import Limits
+from fiplib.flight.sender import START_TIME, ignore_the_terminal
 from fiplib.kalman import Window
 from fiplib.params import Params
 from fiplib.pilot import estimator_of
-
-START_TIME = 60.0
-"""A process on a busy machine may take that long to import NumPy and CasADi, s."""
 
 
 class EstimatorProcess:
@@ -31,17 +31,18 @@ class EstimatorProcess:
     than ``safety.estimator_timeout``, is replaced, ``safety.estimator_restarts`` times at most.
 
     Args:
-        params: ``estimation`` and ``safety``.
-        seed: with the number of the run, what the estimator's generator is seeded with: as in ``simulate.fly``.
+        params: those of the flight.
+        seed: seeds the estimator's generator, together with the number of the run: as in ``simulate.fly``.
+        limits: ``safety``.
 
     Attributes:
         remarks: (level, text) of what went wrong; to be emptied by the reader.
         seconds: how long the last run took, s; nan before the first.
     """
 
-    def __init__(self, params: Params, seed: int) -> None:
+    def __init__(self, params: Params, seed: int, limits: Limits) -> None:
         estimator_of(params)  # an unknown name is refused here, and not in another process
-        self._params, self._seed, self._runs = params, seed, 0
+        self._params, self._seed, self._safety, self._runs = params, seed, limits.safety, 0
         self._starts = 0
         self._process: BaseProcess | None = None
         self._connection: Connection | None = None
@@ -49,7 +50,7 @@ class EstimatorProcess:
         self._ready = False
         self._since = 0.0
         self._busy = False
-        self.remarks: list[tuple[str, str]] = []
+        self.remarks: deque[tuple[str, str]] = deque()
         self.seconds = math.nan
 
     @property
@@ -102,7 +103,7 @@ class EstimatorProcess:
     def _allowed(self) -> float:
         if not self._ready:
             return START_TIME
-        return self._params.safety.estimator_timeout if self._busy else math.inf
+        return self._safety.estimator_timeout if self._busy else math.inf
 
     def _replace(self, what: str = "") -> None:
         # ending a process and starting another both take longer than a control tick
@@ -114,7 +115,7 @@ class EstimatorProcess:
         self._end()
         if process is not None and not what:  # its connection may break before its exit code is known
             what = f"died (exit code {process.exitcode})"
-        if self._starts > self._params.safety.estimator_restarts:
+        if self._starts > self._safety.estimator_restarts:
             self.remarks.append(("error", f"estimator {what}: given up after {self._starts - 1} restarts"))
             return
         self.remarks.append(("warn", f"estimator {what}: started again"))
@@ -148,6 +149,8 @@ def _estimate(params: Params, seed: int, connection: Connection) -> None:
     with suppress(OSError, AttributeError):
         os.nice(10)  # the controller comes first
     function = estimator_of(params).function
+    for part in ("scipy.optimize", "scipy.signal"):  # estimators import them when first used: a second, not in flight
+        importlib.import_module(part)
     with suppress(EOFError, OSError):
         connection.send("ready")
         while True:

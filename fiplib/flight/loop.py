@@ -1,36 +1,27 @@
 """A flight behind the failsafe: poses from a link to the guard, setpoints back, everything to a recorder.
 
-The same loop flies in virtual time (``links.sim.VirtualLink``, ``simulate.SimulatedEstimator``) and in real time.
+The same loop flies in virtual time (``links.simulated.VirtualLink``, ``simulate.SimulatedEstimator``) and in real time.
 """
 
 import gc
 import math
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
-from fiplib.estimators.base import Estimate
-from fiplib.estimators.windows import RawWindow
 from fiplib.flight.display import Snapshot, View
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.links import Link
-from fiplib.flight.operator import Operator
+from fiplib.flight.operator_input import OperatorInput
 from fiplib.flight.setpoint import Mode, Setpoint
-from fiplib.kalman import Window
 from fiplib.params import NANO
 from fiplib.recording import Recorder
-from fiplib.simulate import Outcome, Scenario
-
-
-class Beside(Protocol):
-    """An estimator beside the flight: ``estimator_process.EstimatorProcess`` or the simulator's."""
-
-    def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None: ...
+from fiplib.simulate import LengthUpdates, ParallelEstimator, Scenario
 
 
 class Clockwork:
-    """How punctual the flight was. Times in s.
+    """Measures how punctual the flight was. Times in s.
 
     ``late_ours`` counts ticks that were answered later than one tick after their frame had come, or whose frame was
     taken more than half a tick late after we had been busy for that long; ``late_machine`` those whose frame was taken
@@ -48,7 +39,7 @@ class Clockwork:
         self._busy = 0.0
 
     def busy(self, seconds: float) -> None:
-        """How long we were busy between two frames."""
+        """Take how long we were busy between two frames, s."""
         self._busy = max(self._busy, seconds)
 
     def solved(self, frame: int, seconds: float) -> None:
@@ -76,6 +67,12 @@ class FlightLoop:
             the pilot was given.
         estimator: beside the flight, or ``None``.
         operator, view: for flights in real time.
+        observer: called with the loop at the end of each step.
+
+    Attributes:
+        clockwork: how punctual the flight is.
+        duration: how long it was flown, s; at most that of the scenario.
+        balanced: whether it flew on until the scenario was over.
     """
 
     def __init__(
@@ -84,27 +81,28 @@ class FlightLoop:
         link: Link,
         guard: Guard,
         recorder: Recorder,
-        estimator: Beside | None = None,
-        operator: Operator | None = None,
+        estimator: ParallelEstimator | None = None,
+        operator: OperatorInput | None = None,
         view: View | None = None,
+        observer: "Callable[[FlightLoop], None] | None" = None,
     ) -> None:
         self._scenario, self._link, self.guard, self._recorder = scenario, link, guard, recorder
-        self._estimator, self._operator, self._view = estimator, operator or Operator(), view
+        self._estimator, self._operator, self._view = estimator, operator or OperatorInput(), view
+        self._observer = observer
         self.clockwork = Clockwork(1.0 / scenario.params.piloting.control_rate)
-        self._told = deque(scenario.told_lengths)
+        self.duration, self.balanced = 0.0, False
+        self._lengths = LengthUpdates(scenario, estimator, guard.receive_estimate, recorder, self._say)
         self._seen_transitions = self._seen_notes = 0
         self._began: int | None = None
-        self._survived = self._stopping = False
+        self._stopping = False
         self._frames = 0
         self._recorded = 0
-        self._estimate: Estimate | None = None
-        self._refusal: str | None = None
         self._drawn = 0
 
-    def run(self) -> Outcome:
-        """Fly until the guard has disarmed for good; how it ended.
+    def run(self) -> None:
+        """Fly until the guard has ended the flight.
 
-        The garbage collector rests meanwhile: what it would find is little, and it would cost ticks.
+        The garbage collector is off meanwhile: it would free little, and cost ticks.
         """
         collecting = gc.isenabled()
         gc.collect()
@@ -120,11 +118,14 @@ class FlightLoop:
         finally:
             if collecting:
                 gc.enable()
-        flown = (self._link.now() - self._began) / NANO if self._began is not None else 0.0
-        return Outcome(min(flown, self._scenario.duration), self._survived)
+        self.duration = min(self._elapsed(self._link.now()), self._scenario.duration)
+
+    def _elapsed(self, now: int) -> float:
+        """Return the time since the flight began, s; 0 before."""
+        return (now - self._began) / NANO if self._began is not None else 0.0
 
     def step(self) -> None:
-        """One frame, or one tick without."""
+        """Take one frame, or let one tick pass without."""
         guard, link = self.guard, self._link
         came = link.receive(self.clockwork.tick)
         began = link.now()  # in virtual time a solve takes none: the flight is the same every time
@@ -140,13 +141,15 @@ class FlightLoop:
         self._decide(now)
         self._record(now, setpoint)
         if guard.mode not in (Mode.DISARMED, Mode.READY):
-            self._estimated(now)
+            self._lengths.update(now, self._elapsed(now) if self._began is not None else math.nan, guard.window_due())
         self._report(now)
         self._draw(now)
         self.clockwork.busy((link.now() - began) / NANO)
+        if self._observer is not None:
+            self._observer(self)
 
     def _decide(self, now: int) -> None:
-        """Arming, the end of the scenario, the operator, a broken link."""
+        """Arm, or end the flight: the end of the scenario, the operator, a broken link."""
         guard, operator = self.guard, self._operator
         operator.look(guard.mode is Mode.READY)
         if operator.go and guard.mode in (Mode.DISARMED, Mode.READY):
@@ -154,14 +157,14 @@ class FlightLoop:
         if self._began is None and guard.mode is Mode.FLYING:
             self._began = now
             self._recorder.length(now, guard.pilot.length, math.nan, math.nan)
-            if hasattr(self._link, "truth"):  # over ROS, say, the link does not know it
+            if self._link.truth is not None:
                 self._recorder.truth_length(now, self._scenario.params.pendulum.length)
         stop, disarm = operator.reason, operator.cut
         if fault := self._link.fault():
             stop, disarm = fault, True
-        elif stop is None and self._began is not None and (now - self._began) / NANO >= self._scenario.duration:
+        elif stop is None and self._elapsed(now) >= self._scenario.duration:
             stop = "end of the scenario"
-            self._survived = self._survived or guard.mode is Mode.FLYING
+            self.balanced = self.balanced or guard.mode is Mode.FLYING
         if stop is not None and (disarm or not self._stopping):
             self._stopping = True
             self._link.send(guard.abort(now, stop, disarm))
@@ -173,9 +176,8 @@ class FlightLoop:
         if accepted is not None:
             recorder.pose("vehicle", accepted.stamp, now, accepted.vehicle_position, accepted.vehicle_attitude)
             recorder.pose("pendulum", accepted.stamp, now, accepted.pendulum_position, accepted.pendulum_attitude)
-            truth = getattr(self._link, "truth", None)
-            if truth is not None:
-                recorder.truth(accepted.stamp, truth)
+            if self._link.truth is not None:
+                recorder.truth(accepted.stamp, self._link.truth)
         if setpoint is None or setpoint.stamp <= self._recorded:
             return
         self._recorded = setpoint.stamp
@@ -185,38 +187,16 @@ class FlightLoop:
         # the message carries thrust in single precision
         recorder.command(setpoint.stamp, setpoint.body_rate, float(np.float32(setpoint.thrust)))
 
-    def _estimated(self, now: int) -> None:
-        guard, recorder = self.guard, self._recorder
-        if self._told and self._began is not None and (now - self._began) / NANO >= self._told[0][0]:
-            length = self._told.popleft()[1]
-            recorder.event(now, "warn", f"pilot is told the length {length:g} m")
-            recorder.length(now, guard.receive_estimate(now, length), length, math.nan)
-        if self._estimator is None:
-            return
-        estimate = self._estimator.deliver(now, guard.window_due())
-        remarks = getattr(self._estimator, "remarks", [])
-        while remarks:  # one at a time: another thread may add to them
-            level, text = remarks.pop(0)
-            recorder.event(now, level, text)
-            self._say(text)
-        if estimate is None:
-            return
-        if estimate.reason is None:
-            used = guard.receive_estimate(now, estimate.length, estimate.standard_deviation)
-            recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            self._estimate = estimate
-        elif estimate.reason != self._refusal:
-            recorder.event(now, "warn", f"no estimate: {estimate.reason}")
-        self._refusal = estimate.reason
-
     def _report(self, now: int) -> None:
-        """Transitions and notes into the bag and onto the terminal."""
-        guard = self.guard
+        """Put transitions, notes and what happened to the vehicle into the bag, and the former onto the terminal."""
+        guard, recorder, events = self.guard, self._recorder, self._link.events
+        while events:
+            recorder.event(*events.popleft())
         for entry in guard.transitions[self._seen_transitions :]:
-            self._recorder.event(entry.stamp, entry.level, entry.text)
+            recorder.event(entry.stamp, entry.level, entry.text, "mode", entry.data)
             self._say(entry.text)
         for note in guard.notes[self._seen_notes :]:
-            self._recorder.event(note.stamp, note.level, note.text)
+            recorder.event(note.stamp, note.level, note.text)
             self._say(note.text)
         self._seen_transitions, self._seen_notes = len(guard.transitions), len(guard.notes)
 
@@ -229,10 +209,10 @@ class FlightLoop:
             return
         self._drawn = now
         guard, clockwork = self.guard, self.clockwork
-        estimate = self._estimate or Estimate(math.nan, math.nan)
+        estimate = self._lengths.latest
         self._view.show(
             Snapshot(
-                time=(now - self._began) / NANO if self._began is not None else math.nan,
+                time=self._elapsed(now) if self._began is not None else math.nan,
                 duration=self._scenario.duration,
                 mode=guard.mode.value,
                 words=guard.ended or (guard.waiting if self._began is None else guard.transitions[-1].reason),
@@ -242,7 +222,7 @@ class FlightLoop:
                 length=guard.pilot.length,
                 estimate=estimate.length,
                 deviation=estimate.standard_deviation,
-                run=getattr(self._estimator, "seconds", math.nan),
+                run=self._estimator.seconds if self._estimator is not None else math.nan,
                 solve=float(np.median(clockwork.solves)) if clockwork.solves else math.nan,
                 worst_solve=clockwork.worst_solve,
                 ticks=clockwork.ticks,
@@ -250,6 +230,6 @@ class FlightLoop:
                 late_machine=clockwork.late_machine,
                 frames=self._frames,
                 refused=sum(guard.refused.values()),
-                recording=getattr(self._recorder, "failed", None) or "",
+                recording=self._recorder.failed or "",
             )
         )

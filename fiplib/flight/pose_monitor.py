@@ -1,7 +1,7 @@
-"""Which frames of motion capture may be believed: their numbers, their stamps, and what they say beside the last ones.
+"""Decides which frames of motion capture are good: by their numbers, their stamps, and the change since the last one.
 
-No clock and no I/O: time comes in with the frames. A frame that is not believed is as good as none; what that means for
-the flight is decided by ``failsafe.Guard`` from the age of the last good one.
+No clock and no I/O: time comes in with the frames. A refused frame counts as none; ``failsafe.Guard`` acts on the age
+of the last good one.
 """
 
 import math
@@ -10,6 +10,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.dynamics import body_z_of
+from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
 from fiplib.recording import Measurement
 
@@ -29,7 +31,7 @@ STEADY = 120
 class PoseMonitor:
     """Takes every frame as it arrives; says whether it is good, why not, and how old the newest good one is.
 
-    Stamps are held against arrivals, whose clock may be another one: what counts is the change of their difference.
+    Stamps are compared with arrivals, whose clock may be another one: the change of their difference is judged.
     When the stamps' clock has stepped or lost its order, frames are stamped anew by their arrival until it is steady.
 
     Attributes:
@@ -39,9 +41,9 @@ class PoseMonitor:
         remarks: what is worth recording about clocks; to be emptied by the reader.
     """
 
-    def __init__(self, params: Params) -> None:
-        self._safety = params.safety
-        self._tolerance = round(params.safety.clock_tolerance * NANO)
+    def __init__(self, params: Params, limits: Limits) -> None:
+        self._safety = limits.safety
+        self._tolerance = round(self._safety.clock_tolerance * NANO)
         self._cutoff = 2.0 * math.pi * params.piloting.velocity_cutoff
         self.learning = True
         self.refusal: str | None = None
@@ -174,7 +176,7 @@ class PoseMonitor:
             return f"{BODIES[int(jumps.argmax())]} position jumps"
         cosine = np.abs((values.reshape(2, 7)[:, 3:] * before[:, 3:]).sum(1))
         # of the rod its axis counts: how it is turned about that is hard to track
-        cosine[1] = math.sqrt(max(0.0, 1.0 + float(_axis(values[10:]) @ _axis(before[1, 3:]))) / 2.0)
+        cosine[1] = math.sqrt(max(0.0, 1.0 + float(body_z_of(values[10:]) @ body_z_of(before[1, 3:]))) / 2.0)
         turned = safety.turn + safety.turn_rate * elapsed
         if turned < math.pi and (cosine < math.cos(turned / 2.0) - 1e-3).any():
             return f"{BODIES[int(cosine.argmin())]} attitude jumps"
@@ -190,9 +192,3 @@ class PoseMonitor:
             speed = (positions - self._last.reshape(2, 7)[:, :3]) / elapsed
             self.velocity = self.velocity + share * (speed - self.velocity)
         self._last, self._newest, self._refused, self.refusal = values, stamp, 0, None
-
-
-def _axis(attitude: NDArray) -> NDArray:
-    """The body's z axis in the world, (3,), of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = attitude.tolist()
-    return np.array((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))

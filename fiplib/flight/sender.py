@@ -21,8 +21,9 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
+from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, levelling
-from fiplib.params import NANO, Params
+from fiplib.params import NANO, FipError, Params
 
 WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
@@ -50,21 +51,21 @@ class Sink(Protocol):
     def close(self) -> None: ...
 
 
-class SenderError(Exception):
+class SenderError(FipError):
     """The sender cannot be started; the message says why."""
 
 
 class DeadMan:
-    """What to send when: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
+    """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
     Attributes:
-        fault: why it has disarmed for good, ``None`` before.
+        fault: why it has disarmed, ``None`` before.
         rejected: setpoints that were not finite, and so never sent.
         clamped: setpoints that were out of bounds, and sent at the bounds.
     """
 
-    def __init__(self, params: Params) -> None:
-        self._params = params
+    def __init__(self, params: Params, limits: Limits) -> None:
+        self._params, self._limits = params, limits
         self._newest: Setpoint | None = None
         self._heard = 0
         self._asked = 0
@@ -73,12 +74,12 @@ class DeadMan:
         self.rejected = self.clamped = 0
 
     def hear(self, now: int, setpoint: Setpoint) -> None:
-        """A setpoint has come at ``now`` ns."""
+        """Take a setpoint that came at ``now`` ns."""
         numbers = np.array((*setpoint.body_rate, setpoint.thrust, *setpoint.tilt), dtype=float)
         if numbers.shape != (6,) or not np.isfinite(numbers).all():
             self.rejected += 1
             return
-        limit, most = self._params.vehicle.max_body_rate, self._params.safety.max_thrust
+        limit, most = self._params.vehicle.max_body_rate, self._limits.safety.max_thrust
         bound = np.array((limit, limit, limit, most, 1.0, 1.0)) if setpoint.armed else np.zeros(6)
         bounded = np.clip(numbers, -bound, bound)
         bounded[3] = max(bounded[3], 0.0)
@@ -88,23 +89,23 @@ class DeadMan:
         self._newest, self._heard, self._tilt = setpoint, now, bounded[4:]
 
     def due(self, now: int) -> Setpoint:
-        """What to send at ``now`` ns."""
+        """Return what to send at ``now`` ns."""
         elapsed, self._asked = (now - self._asked) / NANO, now
         if self.fault is not None or self._newest is None or not self._newest.armed:
             return disarmed(now)
-        safety, age = self._params.safety, (now - self._heard) / NANO
+        safety, age = self._limits.safety, (now - self._heard) / NANO
         if age >= safety.pose_disarm:
             self.fault = f"no setpoint for {1e3 * safety.pose_disarm:.0f} ms: disarmed"
             return disarmed(now)
         if age < safety.pose_level:
             return self._newest
-        setpoint = levelling(self._params, now, (float(self._tilt[0]), float(self._tilt[1])))
+        setpoint = levelling(self._params, self._limits, now, (float(self._tilt[0]), float(self._tilt[1])))
         self._tilt = self._tilt + setpoint.body_rate[:2] * min(elapsed, 0.1)
         return setpoint
 
 
 class Counts(NamedTuple):
-    """What the sender has done so far: setpoints sent, of these repeated; never sent; clamped; failed sends."""
+    """Numbers of setpoints sent, repeated among these, rejected, clamped to the bounds, and of failed sends."""
 
     sent: int = 0
     repeated: int = 0
@@ -135,14 +136,15 @@ class Sender:
     Args:
         open_sink: makes the sink, in the sender's process; must pickle (a class or function of a module, or a
             ``functools.partial`` of one).
-        params: ``safety`` and ``vehicle``.
+        params: ``vehicle`` and ``pendulum``.
+        limits: ``safety``.
 
     Raises:
         SenderError: the process does not start, or the sink cannot be opened.
     """
 
-    def __init__(self, open_sink: Callable[[], Sink], params: Params) -> None:
-        self._open_sink, self._params = open_sink, params
+    def __init__(self, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
+        self._open_sink, self._safety = open_sink, limits.safety
         self._fault: str | None = None
         self._closed = False
         self.counts = Counts()
@@ -153,7 +155,7 @@ class Sender:
         self._status, status = context.Pipe(duplex=False)
         # a daemon is terminated and waited for when this process exits, and leaves in good order then
         self._process = context.Process(
-            target=_serve, args=(open_sink, params, receiver, status), name="fip-sender", daemon=True
+            target=_serve, args=(open_sink, params, limits, receiver, status), name="fip-sender", daemon=True
         )
         self._process.start()
         receiver.close()
@@ -198,7 +200,7 @@ class Sender:
             self._lost()
 
     def fault(self) -> str | None:
-        """Why setpoints do not reach the vehicle any more, if so."""
+        """Return why setpoints do not reach the vehicle any more, ``None`` while they do."""
         if self._closed or self._rescue is not None:
             return self._fault
         try:
@@ -221,7 +223,7 @@ class Sender:
             with suppress(OSError):
                 self._setpoints.send_bytes(LEAVE)
             self._setpoints.close()
-            self._process.join(self._params.safety.leave_time + 5.0)
+            self._process.join(self._safety.leave_time + 5.0)
             if self._process.exitcode != 0:
                 self._process.kill()
                 self._process.join(1.0)
@@ -231,7 +233,7 @@ class Sender:
                     while self._status.poll():
                         self._fault, self.counts = self._status.recv()
         if self._rescue is not None:
-            self._rescue.join(self._params.safety.leave_time + 5.0)
+            self._rescue.join(self._safety.leave_time + 5.0)
         self._closed = True
         self._setpoints.close()
         self._status.close()
@@ -252,7 +254,7 @@ class Sender:
             self._rescue.start()
 
     def _disarm(self) -> None:
-        safety = self._params.safety
+        safety = self._safety
         try:
             sink = self._open_sink()
         except Exception as error:  # whatever a device raises
@@ -283,18 +285,20 @@ def urgent(level: int) -> None:
 
 
 def ignore_the_terminal() -> None:
-    """Ctrl-C and a lost terminal concern the process that flies; it tells the others what to do."""
-    for name in ("SIGINT", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    """Ignore Ctrl-C and a lost terminal: the process that flies handles them, and ends the others."""
+    for number in signal.Signals:  # SIGHUP is not everywhere
+        if number.name in ("SIGINT", "SIGHUP"):
+            signal.signal(number, signal.SIG_IGN)
 
 
-def _serve(open_sink: Callable[[], Sink], params: Params, receiver: Connection, status: Connection) -> None:
+def _serve(
+    open_sink: Callable[[], Sink], params: Params, limits: Limits, receiver: Connection, status: Connection
+) -> None:
     """The sender's process."""
     ignore_the_terminal()
     signal.signal(signal.SIGTERM, _terminate)
     urgent(3)
-    server = _Server(open_sink, params, status)
+    server = _Server(open_sink, DeadMan(params, limits), limits, status)
     try:
         if server.open():
             gc.freeze()
@@ -307,11 +311,10 @@ def _serve(open_sink: Callable[[], Sink], params: Params, receiver: Connection, 
 
 
 class _Server:
-    def __init__(self, open_sink: Callable[[], Sink], params: Params, status: Connection) -> None:
-        self._open_sink, self._params, self._status = open_sink, params, status
+    def __init__(self, open_sink: Callable[[], Sink], dead_man: DeadMan, limits: Limits, status: Connection) -> None:
+        self._open_sink, self._dead_man, self._status = open_sink, dead_man, status
         self._sink: Sink | None = None
-        self._dead_man = DeadMan(params)
-        self._period = round(NANO / params.safety.send_rate)
+        self._period, self._leave_time = round(NANO / limits.safety.send_rate), limits.safety.leave_time
         self._counts = Counts()
         self._trouble: str | None = None
         self._tried = self._reported = 0
@@ -348,7 +351,7 @@ class _Server:
     def leave(self) -> None:
         if not self._started:
             return
-        end = time.monotonic() + self._params.safety.leave_time
+        end = time.monotonic() + self._leave_time
         while time.monotonic() < end:
             self._send(disarmed(time.monotonic_ns()), True)
             time.sleep(self._period / NANO)

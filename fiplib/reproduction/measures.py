@@ -5,16 +5,13 @@ never on a simulator's truth: the bag of a real vehicle goes through unchanged.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.params import A, B, Params, X, Y
+from fiplib.params import A, B, X, Y
 from fiplib.recording import TOPICS, BagError, Flight
-
-if TYPE_CHECKING:
-    from fiplib.kalman import Window
 
 FALL_ANGLE = math.radians(30.0)
 """A rod that leans further has fallen: only to hold it there, the vehicle itself would have to tilt as far."""
@@ -24,9 +21,6 @@ FINAL_SECONDS = 5.0
 
 CONVERGED = 0.05
 """Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
-
-STRIDE = 14
-"""Every how many runs of the estimator a window is refitted: about half a window apart, 7 in each of our flights."""
 
 
 def states(flight: Flight) -> NDArray:
@@ -60,10 +54,10 @@ def fall_time(flight: Flight) -> float:
 
 
 def push_times(flight: Flight) -> list[float]:
-    """Times in s of the events that begin with "push". Raises BagError if there are none."""
-    times = [flight.time(event) for event in flight.events if event.text.startswith("push")]
+    """Times in s of the pushes that were recorded. Raises BagError if there are none."""
+    times = [flight.time(event) for event in flight.events if event.kind == "push"]
     if not times:
-        raise BagError(f"{flight.path}: no event on {TOPICS['events']} begins with 'push': when was it pushed?")
+        raise BagError(f"{flight.path}: no push is recorded on {TOPICS['events']}: when was it pushed?")
     return times
 
 
@@ -158,25 +152,6 @@ def jumps(flight: Flight) -> list[Jump]:
     sizes, starts = np.abs(used[at] - used[at - 1]).tolist(), time[at].tolist()
     ends = [*starts[1:], flight.duration]
     return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
-
-
-def refitted(flight: Flight) -> "list[Window]":
-    """The estimator's window of every ``STRIDE``-th run."""
-    from fiplib import replay  # here and below: figures import this module, and need not wait for CasADi
-
-    return [timed.window for timed in replay.windows(flight)[::STRIDE]]
-
-
-def best_length(window: "Window", params: Params) -> float:
-    """The length of smallest fitness that the GA's chromosome can express, m: all lengths in steps of 1 mm, then every
-    code about the best of them. The minimum is centimetres wide, so nothing hides between the steps."""
-    from fiplib import ga, kalman
-
-    coarse = ga.landscape(window, params.replace(estimation__resolution=1e-3)).best
-    chromosome = ga.Chromosome.of(params.estimation)
-    lengths = chromosome.length(np.arange(chromosome.codes))
-    lengths = lengths[np.abs(lengths - coarse) < 2e-3]
-    return float(lengths[kalman.fitness(lengths, window, params.estimation).argmin()])
 
 
 def rms(values: NDArray) -> float:

@@ -1,26 +1,29 @@
 """The page that explores a bag: choose a flight, scrub a window, refit its length, compare estimators, export.
 
 ``Explorer`` holds the widgets and what happens when they are moved; its panels are displayed by the notebook
-``07-explore-a-bag``. ``explorer_fit`` computes, ``explorer_plots`` draws.
+``07-explore-a-bag``. ``fit_window`` and ``compare`` compute, ``explorer_plots`` draws.
 """
 
 import csv
 import html
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import ipywidgets as widgets
 import numpy as np
 
-from fiplib import bags, kalman, replay
+from fiplib import bags, ga, kalman, replay
 from fiplib.estimators import ESTIMATORS
-from fiplib.params import Params
+from fiplib.estimators.base import Estimate
+from fiplib.kalman import Window
+from fiplib.params import FipError, Params
 from fiplib.recording import TOPICS, Flight
 from fiplib.reproduction.style import BLUE, ORANGE
-from fiplib.teaching.explorer_fit import PROBLEMS, Refit, compare, refit, window_between
-from fiplib.teaching.explorer_plots import Picture, draw_flight, draw_refit, draw_space
+from fiplib.teaching.explorer_plots import Picture, WindowFit, draw_flight, draw_refit, draw_space
 
 CONVENTIONS = {
     "fip": "/mocap/{}/pose",
@@ -33,7 +36,49 @@ CONVENTIONS = {
 PERIODS = {"1/120": 1 / 120, "1/60": 1 / 60, "1/30": 1 / 30, "0.05": 0.05, "0.1": 0.1, "0.2": 0.2}
 """Sampling periods in s that are offered, all whole numbers of control ticks at 120 Hz."""
 
+LANDSCAPE_SAMPLES = 90_000
+"""Lengths times samples of the landscape that is drawn: about 0.1 s."""
+
+PROBLEMS = (FipError, ValueError, OSError)
+"""What is the user's to mend, and so is said in the page."""
+
 STALE = "<div style='color: #666666; padding: 2px 14px'>The settings have changed since: press Refit.</div>"
+
+
+def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
+    """Landscape, genetic algorithm and best length of a window.
+
+    Raises:
+        ValueError: as ``kalman.fitness``, or the filter overflowed at every length.
+    """
+    began, estimation = time.perf_counter(), params.estimation
+    chromosome = ga.Chromosome.of(estimation)
+    count = min(chromosome.codes, LANDSCAPE_SAMPLES // len(window.states))
+    codes = np.unique(np.linspace(0, chromosome.codes - 1, count).round().astype(int))
+    lengths = chromosome.length(codes)
+    fitness = kalman.fitness(lengths, window, estimation)
+    if not np.isfinite(fitness).any():
+        raise ValueError("the filter overflows at every length: take a shorter window or another reading")
+    coarse = int(fitness.argmin())
+    near = chromosome.length(np.arange(codes[max(coarse - 1, 0)], codes[min(coarse + 1, len(codes) - 1)] + 1))
+    best = float(near[kalman.fitness(near, window, estimation).argmin()])
+    # settings change with every run here: a table of all gains would take ten times as long as it saves
+    found = ga.estimate(window, params, np.random.default_rng(seed))
+    return WindowFit(window, params, lengths, fitness, best, found, time.perf_counter() - began)
+
+
+def compare(
+    flight: Flight, window: Window, start: float, end: float, params: Params, seed: int
+) -> Iterator[tuple[str, Estimate, float]]:
+    """Every estimator on the same stretch of flight: name, estimate (with its reason if refused), seconds taken."""
+    for name, estimator in ESTIMATORS.items():
+        began = time.perf_counter()
+        try:
+            data = window if estimator.kind == "states" else replay.raw_window_between(flight, start, end)
+            found = estimator.function(data, params, np.random.default_rng(seed))
+        except (*PROBLEMS, RuntimeError) as error:  # the latter is CasADi's
+            found = Estimate(math.nan, math.nan, str(error))
+        yield name, found, time.perf_counter() - began
 
 
 class Panel(widgets.VBox):
@@ -64,7 +109,7 @@ class Explorer:
 
     def __init__(self, data: Path, export: Path, first: str = "estimate-1.4") -> None:
         self.data, self.flight = Path(data), None
-        self.refits: list[Refit] = []
+        self.refits: list[WindowFit] = []
         self.rows: list[dict[str, Any]] = []
         self._make_widgets(export, first)
         self._make_panels()
@@ -84,14 +129,14 @@ class Explorer:
         topics = {role: entry.value.strip() for role, entry in self.topics.items()}
         try:
             flight = bags.read(path, {role: name for role, name in topics.items() if name != TOPICS[role]})
-            known, _ = replay.states(flight), flight.params
+            flight, _ = replace(flight, state=replay.states(flight)), flight.params
         except PROBLEMS as error:
             still = "" if self.flight is None else f"\nThe page still shows {self.flight.path.name}."
             self.message.value = _problem(f"{error}{still}")
             return
         self.flight = None  # nothing is drawn while the slider adapts
         self._set_span(flight)
-        self.flight, self.known, self.refits, self.rows = flight, known, [], []
+        self.flight, self.refits, self.rows = flight, [], []
         self._describe()
         self.compared.value = self.exported.value = ""
         self.draw()
@@ -117,7 +162,7 @@ class Explorer:
     def draw(self, *_: object) -> None:
         """Bring the two views of the flight up to date."""
         if self.flight is not None:
-            draw_flight(self.over_time.figure, self.flight, self.known, self.span.value, self.zoom.value)
+            draw_flight(self.over_time.figure, self.flight, self.span.value, self.zoom.value)
             draw_space(self.in_space.figure, self.flight, self.span.value)
             self.over_time.show()
             self.in_space.show()
@@ -127,8 +172,8 @@ class Explorer:
         if self.flight is None:
             return
         try:
-            window, params = window_between(self.flight, self.known, *self.span.value, self._settings())
-            result = refit(window, params, self.seed.value)
+            window, params = replay.window_between(self.flight, *self.span.value, self._settings())
+            result = fit_window(window, params, self.seed.value)
         except PROBLEMS as error:
             self.answer.value = _problem(error)
             return
@@ -141,7 +186,7 @@ class Explorer:
         if self.flight is None:
             return
         try:
-            window, params = window_between(self.flight, self.known, *self.span.value, self._settings())
+            window, params = replay.window_between(self.flight, *self.span.value, self._settings())
         except PROBLEMS as error:
             self.compared.value = _problem(error)
             return
@@ -227,7 +272,7 @@ class Explorer:
         return f"window {start:.2f} to {end:.2f} s, {params.estimation.window} samples"
 
     def _describe(self) -> None:
-        flight, why = self.flight, self.flight.why_not_refit()
+        flight, why = self.flight, replay.why_not_refit(self.flight)
         made = {"simulated": "simulated, no real vehicle", "real": "a real flight", "unknown": "of unknown origin"}
         words = (
             f"<b>{html.escape(flight.path.name)}</b>: {made[flight.metadata['origin']]}; {flight.duration:.1f} s, "
@@ -249,7 +294,7 @@ class Explorer:
         draw_refit(self.found.figure, self.flight, self.refits, self._truth())
         self.found.show()
         if not self.refits:
-            why = self.flight.why_not_refit() if self.flight.command is None else None
+            why = replay.why_not_refit(self.flight) if self.flight.command is None else None
             self.answer.value = _box(f"This flight cannot be refitted. {html.escape(why)}" if why else "No refit yet.")
             return
         last = self.refits[-1]

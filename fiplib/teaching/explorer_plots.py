@@ -5,6 +5,7 @@ Each function draws anew into a figure that it is given, so that one canvas in a
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from io import BytesIO
 
 import ipywidgets as widgets
@@ -15,10 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fiplib.params import STATES
-from fiplib.recording import Flight, Poses, Series
+from fiplib import ga
+from fiplib.kalman import Window
+from fiplib.params import STATES, Params
+from fiplib.recording import Flight, Poses
 from fiplib.reproduction.style import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, origin
-from fiplib.teaching.explorer_fit import Refit
 
 DPI = 100
 """Pixels per inch in the page: 8 pt are 11 pixels high."""
@@ -30,6 +32,23 @@ SNAPSHOTS = 12
 """Rods drawn in the view in space, evenly over the window."""
 
 _LABELS = {signal.name: signal.label for signal in STATES}
+
+
+@dataclass(frozen=True, eq=False)
+class WindowFit:
+    """The genetic algorithm and the landscape on one window: data, settings, results.
+
+    ``lengths`` (L,) in m and their ``fitness``; ``best`` is the length of least fitness in m, ``found`` the answer of
+    the genetic algorithm, ``seconds`` the time that all of this took.
+    """
+
+    window: Window
+    params: Params
+    lengths: NDArray
+    fitness: NDArray
+    best: float
+    found: ga.Estimate
+    seconds: float
 
 
 class Picture:
@@ -68,13 +87,12 @@ class Picture:
             self.figure.canvas.draw_idle()
 
 
-def draw_flight(figure: Figure, flight: Flight, known: Series, span: tuple[float, float], zoom: bool) -> None:
+def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom: bool) -> None:
     """Position, the rod's offset, tilt and commands over time.
 
     Args:
         figure: to draw into.
-        flight: the recorded flight.
-        known: its states, recorded or derived.
+        flight: the recorded flight, with its states, recorded or derived.
         span: the window in s since the start, shaded.
         zoom: show the window alone.
     """
@@ -90,8 +108,8 @@ def draw_flight(figure: Figure, flight: Flight, known: Series, span: tuple[float
                     flight.time(flight.reference), flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6
                 )
         panels[0].set_ylabel("vehicle (m)")
-        _states(panels[1], flight, known, ("a", "b"), 100.0, "rod's COM (cm)")
-        _states(panels[2], flight, known, ("phi", "theta"), math.degrees(1), "tilt (deg)")
+        _states(panels[1], flight, ("a", "b"), 100.0, "rod's COM (cm)")
+        _states(panels[2], flight, ("phi", "theta"), math.degrees(1), "tilt (deg)")
         _commands(panels[3], flight)
         for axes in panels:
             axes.axvspan(*span, color=GREY, alpha=0.15, lw=0)
@@ -134,7 +152,7 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
         _say(figure, flight)
 
 
-def draw_refit(figure: Figure, flight: Flight, refits: Sequence[Refit], truth: float | None) -> None:
+def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], truth: float | None) -> None:
     """The last refit's landscape and generations, and the estimates of all refits with their intervals.
 
     Args:
@@ -171,7 +189,7 @@ SHOWN = 12
 """Refits shown side by side; older ones remain in the table."""
 
 
-def _landscape(axes: Axes, refit: Refit) -> None:
+def _landscape(axes: Axes, refit: WindowFit) -> None:
     finite = np.isfinite(refit.fitness)
     lengths, height = refit.lengths[finite], refit.fitness[finite] - refit.fitness.min()
     axes.plot(lengths, height, color=BLUE)
@@ -184,7 +202,7 @@ def _landscape(axes: Axes, refit: Refit) -> None:
     axes.set(xlim=(lengths[0], lengths[-1]), ylim=(0.0, 1.5 * float(np.quantile(height, 0.6)) or 1.0))
 
 
-def _generations(axes: Axes, refit: Refit) -> None:
+def _generations(axes: Axes, refit: WindowFit) -> None:
     populations = refit.found.populations
     number = np.broadcast_to(np.arange(1, len(populations) + 1)[:, None], populations.shape)
     feasible = populations <= refit.lengths[-1]
@@ -193,7 +211,7 @@ def _generations(axes: Axes, refit: Refit) -> None:
     axes.set(xlim=(0.5, len(populations) + 0.5), ylim=(refit.lengths[0], refit.lengths[-1]))
 
 
-def _history(axes: Axes, refits: Sequence[Refit], before: int, truth: float | None) -> None:
+def _history(axes: Axes, refits: Sequence[WindowFit], before: int, truth: float | None) -> None:
     number = before + np.arange(1, len(refits) + 1)
     lengths, deviations = np.array([(r.found.length, r.found.standard_deviation) for r in refits]).T
     half = 2 * np.nan_to_num(deviations)
@@ -207,9 +225,9 @@ def _history(axes: Axes, refits: Sequence[Refit], before: int, truth: float | No
     axes.xaxis.get_major_locator().set_params(integer=True)
 
 
-def _states(axes: Axes, flight: Flight, known: Series, names: tuple[str, str], scale: float, label: str) -> None:
+def _states(axes: Axes, flight: Flight, names: tuple[str, str], scale: float, label: str) -> None:
     for name, colour in zip(names, (BLUE, ORANGE), strict=True):
-        axes.plot(flight.time(known), scale * known.column(name), color=colour, label=_LABELS[name])
+        axes.plot(flight.time(flight.state), scale * flight.state.column(name), color=colour, label=_LABELS[name])
     axes.set_ylabel(label)
 
 

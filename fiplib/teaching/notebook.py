@@ -1,4 +1,4 @@
-"""What the notebooks share: the fast switch, where the repository is, and the table of expected beside measured."""
+"""What the notebooks share: a fast switch, folders of the repository, the table of expected and measured values."""
 
 import os
 from collections.abc import Mapping
@@ -9,36 +9,37 @@ import matplotlib.pyplot as plt
 from fiplib.reproduction.style import STYLE
 
 FAST = bool(os.environ.get("FIP_FAST"))
-"""Whether notebooks take their small settings: set ``FIP_FAST=1`` in the environment, as ``make test`` does."""
+"""Whether the notebooks use their small settings: ``FIP_FAST=1`` in the environment, as ``make test`` sets it."""
 
-ROOT = Path(__file__).parents[1]
-"""The repository, wherever the notebook runs."""
+FOLDERS = (*Path(__file__).parents, Path.cwd(), *Path.cwd().parents)
+ROOT = next((folder for folder in FOLDERS if (folder / "data/SHA256SUMS").is_file()), Path.cwd())
+"""The repository: the folder with our recorded flights above this file, or above the working directory."""
 
 DATA, FIGURES = ROOT / "data", ROOT / "figures"
-"""The recorded flights, and what ``make figures`` made."""
+"""The recorded flights, and the products of ``make figures``."""
 
 PLOT_STYLE = STYLE | {"figure.figsize": (5.6, 2.6), "figure.dpi": 130, "figure.constrained_layout.use": True}
-"""The look of the printed figures, at the width of a notebook."""
+"""The style of the printed figures, at the width of a notebook."""
 
 
 class Mismatch(AssertionError):
-    """A measured value of a notebook is not the expected one; the message names it."""
+    """A measured value of a notebook differs from the expected one; the message names it."""
 
 
 def begin() -> None:
-    """The plot style of the notebooks."""
+    """Apply the plot style of the notebooks."""
     plt.rcParams.update(PLOT_STYLE)
 
 
 def beside(rows: Mapping[str, tuple[float, float, float]], unit: str = "") -> None:
-    """Print expected beside measured, and insist on their agreement.
+    """Print the expected values beside the measured ones, and require that they agree.
 
     Args:
-        rows: by name, (expected, measured, tolerance): absolute, in the unit of the values.
-        unit: of all values.
+        rows: (expected, measured, tolerance) by name; the tolerance is absolute, in the unit of the values.
+        unit: unit of all values.
 
     Raises:
-        Mismatch: a measured value is further from the expected one than the tolerance, or not a number.
+        Mismatch: a measured value differs from the expected one by more than the tolerance, or is not a number.
     """
     width = max(map(len, rows))
     print(f"{'':{width}}  {'expected':>12}  {'measured':>12}  {unit}")

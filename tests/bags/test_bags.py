@@ -1,10 +1,9 @@
 """A flight survives the bag unchanged, an independent reader agrees, and damage is one clear error."""
 
+import argparse
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,17 +17,22 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from fiplib import recording
+from fiplib.bags import command as bag_command
 from fiplib.bags import messages as layouts
 from fiplib.bags import reader as bag_reader
 from fiplib.bags.reader import read
 from fiplib.bags.writer import BagRecorder
-from fiplib.params import STATE_NAMES, Params
-from fiplib.recording import BagError
+from fiplib.params import STATE_NAMES, FipError, Params
+from fiplib.recording import BagError, Event
+from fiplib.replay import why_not_refit
 
 FRAMES = 96  # 0.4 s of motion capture: small, yet enough for every kind of message
 PERIOD = 1_000_000_000 // 240
 LATENCY = 4_166_667
 SERIES = ("state", "command", "reference", "length", "truth_state", "truth_length")
+
+
+PUSH = {"impulse": [-0.006, 0.0], "duration": 0.05}
 
 
 class Numbers:
@@ -76,7 +80,7 @@ def write(
             if i % 24 == 0:
                 bag.length(stamp, *numbers.length[i // 24])
             if i == 30:
-                bag.event(stamp, "info", "push of 6 mN s along \u2212x")
+                bag.event(stamp, "info", "push of 6 mN s along \u2212x", "push", PUSH)
                 bag.event(stamp, "warn", "failsafe")
     return path
 
@@ -148,8 +152,8 @@ def test_every_number_comes_back_to_the_last_bit(bag: Path, numbers: Numbers) ->
         np.testing.assert_array_equal(getattr(flight, role).stamp, stamp, err_msg=role)
         np.testing.assert_array_equal(getattr(flight, role).values, values, err_msg=role)
     assert flight.events == (
-        (30 * PERIOD, "info", "push of 6 mN s along \u2212x"),
-        (30 * PERIOD, "warn", "failsafe"),
+        (30 * PERIOD, "info", "push of 6 mN s along \u2212x", "push", PUSH),
+        (30 * PERIOD, "warn", "failsafe", "note", {}),
     )
 
 
@@ -199,7 +203,7 @@ def test_more_messages_than_are_held_back_for_sorting_keep_their_order(tmp_path:
     with (tmp_path / "long" / "long.mcap").open("rb") as stream:
         times = [message.log_time for _, _, message in make_reader(stream).iter_messages(log_time_order=False)]
     assert times == sorted(times)
-    assert flight.why_not_refit() is None
+    assert why_not_refit(flight) is None
 
 
 def test_an_independent_reader_agrees_on_every_value(bag: Path) -> None:
@@ -230,7 +234,8 @@ def test_an_independent_reader_agrees_on_every_value(bag: Path) -> None:
                     seen[role].append((time, ros.point.x, ros.point.y, ros.point.z))
                 case "Log":
                     assert ros.name == "fip"
-                    seen[role].append((time, {20: "info", 30: "warn"}[ros.level], ros.msg))
+                    seen[role].append((time, {20: "info", 30: "warn"}[ros.level], ros.msg, ros.function))
+                    assert json.loads(ros.file or "{}") == (PUSH if ros.function == "push" else {})
     for body in ("vehicle", "pendulum"):
         poses, rows = getattr(flight, body), seen[body]
         assert [row[:2] for row in rows] == list(zip(poses.stamp, poses.received, strict=True))
@@ -241,7 +246,7 @@ def test_an_independent_reader_agrees_on_every_value(bag: Path) -> None:
         assert [row[0] for row in seen[role]] == series.stamp.tolist()
         values = np.array([row[1:] for row in seen[role]])
         np.testing.assert_array_equal(values[:, : series.values.shape[1]], series.values, err_msg=role)
-    assert tuple(seen["events"]) == flight.events
+    assert tuple(seen["events"]) == tuple(event[:4] for event in flight.events)
 
 
 @pytest.mark.parametrize("kind", [recording.POSE, recording.POINT, recording.JOINTS, recording.ATTITUDE])
@@ -311,7 +316,7 @@ def test_a_flight_that_ends_by_an_exception_is_recorded_up_to_there(tmp_path: Pa
         raise KeyboardInterrupt
     flight = read(tmp_path / "flight")
     assert len(flight.vehicle.stamp) == 10
-    assert flight.events == ((14, "fatal", "recording ended by KeyboardInterrupt"),)
+    assert flight.events == ((14, "fatal", "recording ended by KeyboardInterrupt", "note", {}),)
 
 
 # --- bags of others ------------------------------------------------------------------------------------------------
@@ -320,10 +325,15 @@ TYPES = layouts.typestore().types
 
 
 def foreign(
-    path: Path, messages: list[tuple[str, str, int, bytes]], storage: StoragePlugin = StoragePlugin.MCAP
+    path: Path,
+    messages: list[tuple[str, str, int, bytes]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    metadata: dict[str, str] | None = None,
 ) -> Path:
     """A bag made by the library alone: (topic, type, log time, message)."""
     with Writer(path, version=9, storage_plugin=storage) as writer:
+        for key, value in (metadata or {}).items():
+            writer.set_custom_data(key, value)
         connections = {}
         for topic, kind, time, data in messages:
             if topic not in connections:
@@ -350,12 +360,42 @@ def test_two_mocap_topics_alone_are_a_flight(tmp_path: Path, storage: StoragePlu
     assert [getattr(flight, role) for role in SERIES] == [None] * len(SERIES) and flight.events == ()
     np.testing.assert_array_equal(flight.vehicle.position[:, 0], 0.1 * np.arange(5))
     np.testing.assert_array_equal(flight.time(flight.vehicle), np.arange(5) * PERIOD / 1e9)
-    assert "holds no commands (topic /fip/command)" in flight.why_not_refit()
+    assert "holds no commands (topic /fip/command)" in why_not_refit(flight)
+
+
+def test_events_that_are_sentences_only_are_understood(tmp_path: Path) -> None:
+    """So were all events of the first recordings; the impulses of pushes stood in the metadata alone."""
+    said = {
+        "push of 8 mN s on the rod's COM": ("push", {"impulse": [0.008, 0.0], "duration": 0.05}),
+        "pilot is told the length 0.4 m": ("length", {"length": 0.4}),
+        "MPC status max_iterations": ("status", {"status": "max_iterations"}),
+        "no estimate: too little: of all": ("refusal", {"reason": "too little: of all"}),
+        "failsafe: flying -> level: no pose for 0.1 s: blind": (
+            "mode",
+            {"from": "flying", "to": "level", "reason": "no pose for 0.1 s: blind"},
+        ),
+        "a push by hand": ("note", {}),
+        "pushed again": ("push", {}),
+        "rod or vehicle fell: flight ended": ("fall", {}),
+    }
+    pushes = [{"start": 5.3, "impulse": [0.008, 0.0], "duration": 0.05}]
+    events = []
+    for i, text in enumerate(said):
+        time = TYPES["builtin_interfaces/msg/Time"](10**9, i)
+        message = TYPES[recording.LOG](time, 20, "fip", text, "", "", 0)
+        data = bytes(layouts.typestore().serialize_cdr(message, recording.LOG))
+        events.append(("/fip/events", recording.LOG, 10**18 + i, data))
+    path = foreign(tmp_path / "old", MOCAP + events, metadata={"pushes": json.dumps(pushes)})
+    flight = read(path)
+    assert flight.events == tuple(
+        Event(10**18 + i, "info", text, *known) for i, (text, known) in enumerate(said.items())
+    )
+    assert not flight.survived
 
 
 def test_a_flight_shorter_than_a_window_says_so(bag: Path) -> None:
     # 55 samples span 54 periods of 0.1 s; poses and commands share 94 frames.
-    assert "overlap for 0.4 s only, one estimation window is 5.4 s" in read(bag).why_not_refit()
+    assert "overlap for 0.4 s only, one estimation window is 5.4 s" in why_not_refit(read(bag))
 
 
 def test_topics_can_be_remapped(tmp_path: Path) -> None:
@@ -548,7 +588,7 @@ def test_a_truncated_file_says_how_many_messages_are_intact(tmp_path: Path, bare
     intact = int(str(caught.value).split(").")[1].split()[0])
     # Whole chunks survive, the one that was cut does not: some are lost, and not all.
     assert 0.3 * total < intact < total
-    assert f"python -m fiplib.bags.reader recover {mcap(long) if bare else long}" in str(caught.value)
+    assert f"fip bag recover {mcap(long) if bare else long}" in str(caught.value)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.9])
@@ -567,7 +607,7 @@ def outcome(whole: recording.Flight, directory: Path, files: dict[str, bytes], b
         (directory / name).write_bytes(data)
     try:
         flight = read(directory / "flight.mcap" if bare else directory)
-        flight.why_not_refit()
+        why_not_refit(flight)
         assert same(whole, flight), "a damaged bag was read as another flight"
     except BagError as error:
         assert "\n" not in str(error) and str(directory) in str(error)
@@ -616,20 +656,17 @@ def test_no_flipped_bit_of_the_index_passes_as_another_flight(bag: Path, tmp_pat
 # --- command line --------------------------------------------------------------------------------------------------
 
 
-def info(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "fiplib.bags.info", "info", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[2],
-        check=False,
-    )
+def run(*arguments: object, **remarks: Callable[[recording.Flight], str]) -> int:
+    parser = argparse.ArgumentParser()
+    bag_command.add_arguments(parser, remarks)
+    return bag_command.run(parser.parse_args([str(argument) for argument in arguments]))
 
 
-def test_info_says_what_a_bag_holds(bag: Path) -> None:
-    done = info(str(bag))
-    assert done.returncode == 0 and done.stderr == ""
-    lines = done.stdout.splitlines()
+def test_info_says_what_a_bag_holds(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", bag, refit=lambda flight: f"{flight.duration:.1f} s are too short") == 0
+    printed = capsys.readouterr().out
+    lines = printed.splitlines()
+    assert "refit      0.4 s are too short" in lines
     for words in (
         "SIMULATED",
         "push-in-hover",
@@ -638,19 +675,20 @@ def test_info_says_what_a_bag_holds(bag: Path) -> None:
         "pendulum.length = 0.8 m (default 1.0)",
         "control.nodes = 50",
     ):
-        assert words in done.stdout
+        assert words in printed
     # 96 poses in 95 periods of 1/240 s; 48 commands with the same end points but one frame.
     assert ["/mocap/quad/pose", recording.POSE, "96", "240.0", "vehicle"] in [line.split() for line in lines]
     assert ["/fip/command", recording.ATTITUDE, "48", "118.7", "command"] in [line.split() for line in lines]
 
 
-def test_info_remaps_topics(tmp_path: Path) -> None:
+def test_info_remaps_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lab = foreign(tmp_path / "lab", poses("/quad/pose") + poses("/mocap/pendulum/pose"))
-    done = info(str(lab), "--topic", "vehicle=/quad/pose")
-    assert done.returncode == 0 and "unknown (the bag does not say)" in done.stdout and "none" in done.stdout
+    assert run("info", lab, "--topic", "vehicle=/quad/pose") == 0
+    printed = capsys.readouterr().out
+    assert "unknown (the bag does not say)" in printed and "none" in printed
 
 
-def test_info_reports_an_error_as_one_line_and_exit_code_2(tmp_path: Path) -> None:
-    done = info(str(tmp_path / "gone"))
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.count("\n") == 1 and "no such file" in done.stderr and "Traceback" not in done.stderr
+def test_info_of_no_bag_says_so_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FipError, match="no such file") as caught:
+        run("info", tmp_path / "gone")
+    assert "\n" not in str(caught.value)

@@ -139,7 +139,7 @@ def test_a_flight_killed_with_all_its_processes_loses_one_second_at_most(tmp_pat
     bag = tmp_path / "flight"
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
     assert set(before) == {"flight.mcap", SIDECAR}
-    with pytest.raises(BagError, match=r"not finished.* intact.*python -m fiplib\.bags recover"):
+    with pytest.raises(BagError, match=r"not finished.* intact.*fip bag recover"):
         read(bag)
 
     recovery = recover(bag)
@@ -193,12 +193,12 @@ def test_a_flight_goes_on_when_its_recording_is_killed(script: Script) -> None:
 
 def test_a_file_that_cannot_grow_stops_the_recording_and_not_the_flight(tmp_path: Path) -> None:
     """A limit on the size of files stands for a quota: the reserve cannot help, the bag stays unfinished."""
-    running = Script(tmp_path, live._RESERVE + 1000)
+    running = Script(tmp_path, live.RESERVE + 1000)
     said = running.process.stdout.readline()
     assert said.startswith(f"{tmp_path / 'flight'}: recording stopped: File too large")
     (tmp_path / "land").touch()
     landed = running.process.stdout.read().splitlines()[-1]
-    assert landed.startswith("landed: ") and f"python -m fiplib.bags.reader recover {tmp_path / 'flight'}" in landed
+    assert landed.startswith("landed: ") and f"fip bag recover {tmp_path / 'flight'}" in landed
     assert running.process.wait() == 0
     recovery = recover(tmp_path / "flight")
     assert not recovery.gaps  # the file ends with its last whole chunk: nothing in it is damaged
@@ -214,7 +214,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk that has room for the reserve and 1 MB."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    size = f"size={live._RESERVE + (1 << 20)}"
+    size = f"size={live.RESERVE + (1 << 20)}"
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", size, "fip", str(disk)], capture_output=True, text=True)
     if mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")
@@ -238,7 +238,7 @@ def test_a_full_disk_ends_the_bag_properly_and_says_so(small_disk: Path) -> None
     with pytest.raises(BagError, match=r"No space left on device \(at least \d+ messages of the flight are missing"):
         bag.close()
     flight = read(small_disk / "flight")  # no need to recover anything
-    assert flight.events[-1][1:] == ("error", "recording stopped: No space left on device; what followed is lost")
+    assert flight.events[-1][1:3] == ("error", "recording stopped: No space left on device; what followed is lost")
     kept = len(flight.vehicle.stamp)
     assert 100 < kept < flown and not (small_disk / "flight" / SIDECAR).exists()
     np.testing.assert_array_equal(flight.vehicle.position, numbers.position["vehicle"][:kept])
@@ -370,7 +370,7 @@ def test_a_flight_that_ends_by_an_exception_is_recorded_up_to_there(tmp_path: Pa
         for body in ("vehicle", "pendulum"):
             bag.pose(body, 0, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         raise KeyboardInterrupt
-    assert read(tmp_path / "flight").events == ((5, "fatal", "recording ended by KeyboardInterrupt"),)
+    assert read(tmp_path / "flight").events == ((5, "fatal", "recording ended by KeyboardInterrupt", "note", {}),)
 
 
 def test_what_ended_the_flight_is_not_hidden_by_its_recording(tmp_path: Path) -> None:

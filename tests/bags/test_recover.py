@@ -21,11 +21,10 @@ from rosbags.rosbag2 import Reader
 from fiplib import recording
 from fiplib.bags import live, writer
 from fiplib.bags import messages as layouts
-from fiplib.bags.info import main
 from fiplib.bags.reader import read
 from fiplib.bags.recovery import recover
 from fiplib.recording import BagError
-from tests.bags.test_bags import METADATA, Numbers, copy, foreign, mcap, poses, same, write
+from tests.bags.test_bags import METADATA, Numbers, copy, foreign, mcap, poses, run, same, write
 
 Found = tuple[str, int, bytes]  # topic, log time in ns, message
 
@@ -365,25 +364,26 @@ def test_nothing_is_overwritten_and_nothing_added_to_the_original(bag: Path, tmp
 
 def test_the_command_recovers_and_reports(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = damaged(tmp_path, mcap(bag).read_bytes()[:-9000])
-    assert main(["info", str(source)]) == 2
-    assert f"python -m fiplib.bags.reader recover {source}" in capsys.readouterr().err
-    assert main(["recover", str(source), "--output", str(tmp_path / "new")]) == 0
+    with pytest.raises(BagError, match=f"fip bag recover {source}"):
+        run("info", source)
+    assert run("recover", source, "--output", tmp_path / "new") == 0
     printed = capsys.readouterr().out
     assert f"recovered  {tmp_path / 'new'}" in printed and f"from       {source} (unchanged)" in printed
-    assert main(["info", str(tmp_path / "new")]) == 0
+    assert run("info", tmp_path / "new") == 0
     assert "recovered  from flight" in capsys.readouterr().out
-    assert main(["recover", str(source), "--output", str(tmp_path / "new")]) == 2
-    assert "exists already" in capsys.readouterr().err
+    with pytest.raises(BagError, match="exists already"):
+        run("recover", source, "--output", tmp_path / "new")
 
 
 def test_a_disk_that_is_full_while_recovering_leaves_no_half_bag(bag: Path, tmp_path: Path) -> None:
     code = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\n"
-    code += "from fiplib.bags.info import main; sys.exit(main(sys.argv[1:]))"
+    code += "from fiplib import bags; bags.recover(*sys.argv[1:])"
     done = subprocess.run(
-        [sys.executable, "-c", code, "recover", str(bag), "--output", str(tmp_path / "new")],
+        [sys.executable, "-c", code, str(bag), str(tmp_path / "new")],
         capture_output=True,
         text=True,
         cwd=Path(__file__).parents[2],
     )
-    assert done.returncode == 2 and "File too large" in done.stderr and done.stderr.count("\n") == 1
+    said = done.stderr.splitlines()[-1]
+    assert said.startswith("fiplib.recording.BagError: ") and "File too large" in said
     assert not (tmp_path / "new").exists()

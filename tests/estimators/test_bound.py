@@ -14,7 +14,7 @@ from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelih
 from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import BagError, Flight, MemoryRecorder
+from fiplib.recording import BagError, Flight
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import bounds
 
@@ -24,9 +24,9 @@ PARAMS = Params()
 @cache
 def flown(kind: str = "circle", seconds: float = 7.0) -> Flight:
     reference = {"circle": Circle(0.4, 8.0, ramp=2.0), "wide": Circle(0.8, 9.0, ramp=2.0), "hover": Hover()}[kind]
-    scenario, tape = Scenario(kind, "", seconds, reference, params=PARAMS, seed=11), MemoryRecorder()
-    assert fly(scenario, tape).survived
-    return replay.flight_of(tape, scenario)
+    flight = fly(Scenario(kind, "", seconds, reference, params=PARAMS, seed=11))
+    assert flight.survived
+    return flight
 
 
 def stretch(kind: str = "circle", start: float = 4.0, seconds: float = 2.5) -> Motion:

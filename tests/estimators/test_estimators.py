@@ -1,6 +1,8 @@
 """Every estimator behind its one call: right on data of its own model, honest on its spread, clear when it refuses."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -8,20 +10,22 @@ import numpy as np
 import pytest
 
 from fiplib import replay
-from fiplib.estimators import ESTIMATORS, IMPROVED, Estimate
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import cramer_rao, motion
+from fiplib.estimators.genetic import IMPROVED
 from fiplib.estimators.likelihood import CALIBRATION, LARGEST_SPREAD, NUISANCES, maximum_likelihood
 from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import BagError, Flight, MemoryRecorder
+from fiplib.recording import BagError, Flight
 from fiplib.simulate import Push, Scenario, fly
 from fiplib.studies import estimators as study
 from tests.test_kalman import simulated_window
 
 # A resolution of 1 mm: a tenth of the time, and still small beside any spread below
 PARAMS = Params().replace(estimation__resolution=1e-3)
-ON_STATES = [name for name, estimator in ESTIMATORS.items() if estimator.kind == "states"]
+MODULES = sorted({estimator.path.partition(":")[0] for estimator in ESTIMATORS.values()})
 LIKELIHOODS = ["ga", "ga_improved", "grid", "scalar"]
 
 
@@ -45,9 +49,9 @@ def flown(kind: str = "circle", seed: int = 1, **changes: float) -> Flight:
     reference = {"circle": Circle(0.4, 8.0, ramp=2.0), "hover": Hover()}[kind]
     pushes = (Push(6.0, (0.006, 0.0)),) if kind == "hover" else ()
     scenario = Scenario(kind, "", 8.0, reference, pushes=pushes, params=Params().replace(**changes), seed=seed)
-    tape = MemoryRecorder()
-    assert fly(scenario, tape).survived
-    return replay.flight_of(tape, scenario)
+    flight = fly(scenario)
+    assert flight.survived
+    return flight
 
 
 def raw(flight: Flight, after: float = 4.0, seconds: float = 2.5) -> RawWindow:
@@ -228,6 +232,14 @@ def test_raw_windows_follow_each_other_at_the_asked_period() -> None:
         assert window.time[-1] == pytest.approx(1.0, abs=0.5 / 240)
         assert window.command_time[0] < 0 and window.command_time[-1] <= window.time[-1] + 0.01
         assert stamp <= flight.vehicle.received[-1]
+
+
+@pytest.mark.parametrize("module", ["fiplib.estimators", *(f"fiplib.estimators.{name}" for name in MODULES)])
+def test_a_module_of_the_estimators_imports_no_solver_before_it_is_called(module: str) -> None:
+    """SciPy's optimisers and signal filters and filterpy take a second each; the registry alone needs no CasADi."""
+    slow = {"scipy.optimize", "scipy.signal", "filterpy"} | ({"casadi"} if module == "fiplib.estimators" else set())
+    code = f"import sys, {module}; print(*({slow!r} & sys.modules.keys()))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""
 
 
 def test_a_study_row_counts_what_it_was_given() -> None:

@@ -11,7 +11,7 @@ from fiplib import replay
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.handover import HANDOVERS, PrintedHandOver, TrustedHandOver
 from fiplib.params import Params
-from fiplib.recording import MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import handover as study
 
@@ -154,43 +154,39 @@ def test_rods_to_expect_must_be_in_order():
         trusted(piloting__rod_lengths=(1.5, 0.5))
 
 
-def flown(policy: str, seconds: float, seed: int = 1, **changes) -> tuple[Scenario, MemoryRecorder, object]:
+def flown(policy: str, seconds: float, seed: int = 1, **changes) -> Flight:
     params = PARAMS.replace(**(study.POLICIES[policy] | changes))
-    scenario, tape = Scenario("test", "", seconds, study.CIRCLE, params=params, seed=seed), MemoryRecorder()
-    return scenario, tape, fly(scenario, tape)
+    return fly(Scenario("test", "", seconds, study.CIRCLE, params=params, seed=seed))
 
 
 @pytest.fixture(scope="module")
-def long_rod() -> tuple[Scenario, MemoryRecorder, object]:
+def long_rod() -> Flight:
     return flown("trusted", 3.0, seed=2, piloting__initial_length=0.4, pendulum__length=1.5)
 
 
 def test_a_wrong_first_length_that_fells_the_printed_loop_leaves_the_trusted_one_standing():
     short = {"piloting__initial_length": 1.6, "pendulum__length": 0.5}
-    _, _, printed = flown("printed", 2.5, **short)
-    _, tape, outcome = flown("trusted", 2.5, **short)
+    printed, trusting = flown("printed", 2.5, **short), flown("trusted", 2.5, **short)
     assert not printed.survived and printed.duration < 2.0  # before the first window of 5.5 s is full
-    assert outcome.survived and tape["length"][:, 1].max() <= 0.5 and tape["length"][-1, 1] > 0.95 * 0.5
+    used = trusting.length.column("used")
+    assert trusting.survived and used.max() <= 0.5 and used[-1] > 0.95 * 0.5
 
 
 def test_a_long_rod_is_found_within_three_seconds_from_far_too_short(long_rod):
-    _, tape, outcome = long_rod
-    times, used = tape["length"][:, 0], tape["length"][:, 1]
-    assert outcome.survived and study.settled(times, used / 1.5) < 3.0
+    times, used = long_rod.time(long_rod.length), long_rod.length.column("used")
+    assert long_rod.survived and study.settled(times, used / 1.5) < 3.0
     assert used.max() < 1.5 * 1.01
     assert (used[1:] / used[:-1]).max() <= PARAMS.piloting.largest_rise + 1e-12
 
 
 def test_a_refused_estimate_is_recorded_once_and_not_handed_over(long_rod):
-    _, tape, _ = long_rod
-    refusals = [text for _, _, text in tape.events if text.startswith("no estimate: ")]
+    refusals = [event.data["reason"] for event in long_rod.events if event.kind == "refusal"]
     assert refusals and "too little information" in refusals[0] and len(set(refusals)) == len(refusals)
-    assert np.isfinite(tape["length"][1:, 2:]).all(), "only l0 has no estimate behind it"
+    assert np.isfinite(long_rod.length.values[1:, 1:]).all(), "only l0 has no estimate behind it"
 
 
 def test_a_trusted_flight_replays_bit_for_bit_and_its_estimates_can_be_made_again(long_rod):
-    scenario, tape, _ = long_rod
-    flight = replay.flight_of(tape, scenario)
+    flight = long_rod
     np.testing.assert_array_equal(replay.commands(flight).values, flight.command.values)
     found = replay.windows(flight)
     estimate = ESTIMATORS["maximum_likelihood"].function

@@ -1,6 +1,6 @@
 """A simulated vehicle behind ROS 2 topics, in real time: for the tests, and to try ``--link ros2`` without hardware.
 
-    python tests/ros2_vehicle.py
+    python tests/flight/ros2_vehicle.py
     python scripts/fly.py --scenario estimate-1.4 --link ros2 --ros2-origin simulated
 
 Publishes the poses of vehicle and pendulum and the true state, obeys TwistStamped commands, and holds the vehicle in
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.flight.links.ros2 import urgent_threads
-from fiplib.flight.links.simulated import SimulatedVehicle
+from fiplib.flight.links.simulated import HeldVehicle
 from fiplib.flight.sender import urgent
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO
@@ -124,7 +124,7 @@ def fly(scenario: Scenario, peer: Peer) -> dict[str, float | int | None]:
         flight until the first such, and until rod or vehicle had fallen; greatest lean of both until then, m and rad.
         Through ROS also: states heard, and the newest length in use.
     """
-    vehicle, params = SimulatedVehicle(scenario), scenario.params
+    vehicle, params = HeldVehicle(scenario), scenario.params
     rate, simulation = params.piloting.mocap_rate, params.simulation
     latency = round(simulation.mocap_latency * NANO)
     late = commands = refused = disarms = 0

@@ -29,8 +29,7 @@ from elrs.rc import build_rc_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiplib.flight.failsafe import Guard
-from fiplib.flight.radio import (
+from fiplib.flight.crsf_frames import (
     BAUDS,
     FRAME_BYTES,
     US_OFFSET,
@@ -41,20 +40,23 @@ from fiplib.flight.radio import (
     pack,
     throttle,
 )
+from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits, Radio
+from fiplib.flight.links import LinkError
+from fiplib.flight.links.crsf import CrsfLink, CrsfSink
+from fiplib.flight.links.simulated import VirtualLink
+from fiplib.flight.loop import FlightLoop
 from fiplib.flight.sender import Sender, SenderError
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
-from fiplib.params import NANO, PHI, THETA, Params
-from fiplib.recording import MemoryRecorder
+from fiplib.params import NANO, PHI, THETA, Params, Vehicle
+from fiplib.pilot import Pilot
+from fiplib.recording import Event, MemoryRecorder
 from fiplib.simulate import SCENARIOS, Scenario
 
 ROOT = Path(__file__).parents[2]
 
-from fiplib.flight.links import LinkError  # noqa: E402
-from fiplib.flight.links.crsf import CrsfLink, CrsfSink  # noqa: E402
-from fiplib.flight.links.simulated import VirtualLink  # noqa: E402
-from fiplib.flight.loop import FlightLoop  # noqa: E402
 
-PARAMS = Params()
+PARAMS, LIMITS = Params(), Limits()
 LIMIT = PARAMS.vehicle.max_body_rate
 ROLL, PITCH, THROTTLE, YAW, ARM = range(5)
 HALF_COUNT = 0.5 * US_PER_COUNT
@@ -112,78 +114,84 @@ numbers = st.floats(-4.0, 4.0) | st.floats(allow_nan=False, allow_infinity=False
 @given(st.booleans(), st.tuples(numbers, numbers, numbers), numbers, st.sampled_from(Mode))
 def test_every_setpoint_becomes_a_frame_that_others_build_and_read_within_bounds(armed, body_rate, thrust, mode):
     setpoint = Setpoint(0, armed, mode, np.array(body_rate), thrust)
-    channels = Encoder(PARAMS).channels(0, setpoint)
-    frame = Encoder(PARAMS).frame(0, setpoint)
+    channels = Encoder(PARAMS, LIMITS).channels(0, setpoint)
+    frame = Encoder(PARAMS, LIMITS).frame(0, setpoint)
     assert frame == build_rc_frame(channels) and decoded(frame) == channels
     assert (microseconds(channels[ARM]) > 1700) == armed
-    highest = PARAMS.radio.throttle_low + PARAMS.safety.max_thrust * (2000 - PARAMS.radio.throttle_low)
+    highest = LIMITS.radio.throttle_low + LIMITS.safety.max_thrust * (2000 - LIMITS.radio.throttle_low)
     assert 999 < microseconds(channels[THROTTLE]) < highest + HALF_COUNT
     assert all(999 < microseconds(channel) < 2001 for channel in channels)
     assert max(map(abs, rates(frame))) <= LIMIT * (1 + HALF_COUNT / 500)
     if not armed:
-        assert channels == Encoder(PARAMS).channels(0, disarmed(0))
+        assert channels == Encoder(PARAMS, LIMITS).channels(0, disarmed(0))
 
 
 @given(st.tuples(*[st.floats(-LIMIT, LIMIT)] * 3))
 def test_betaflight_reads_the_rates_that_were_meant_to_half_a_step(body_rate):
     # half a step of a channel: 0.06 deg/s
-    assert rates(Encoder(PARAMS).frame(0, flown(body_rate))) == pytest.approx(body_rate, abs=HALF_COUNT / 500 * LIMIT)
+    assert rates(Encoder(PARAMS, LIMITS).frame(0, flown(body_rate))) == pytest.approx(
+        body_rate, abs=HALF_COUNT / 500 * LIMIT
+    )
 
 
 def test_no_rate_is_991_and_not_the_992_that_the_protocol_calls_the_centre():
-    channels = Encoder(PARAMS).channels(0, flown((0.0, 0.0, 0.0)))
+    channels = Encoder(PARAMS, LIMITS).channels(0, flown((0.0, 0.0, 0.0)))
     assert [channels[axis] for axis in (ROLL, PITCH, YAW)] == [991] * 3
     biases = [(microseconds(channel) - 1500) / 500 * 100.0 for channel in (991, 992)]
     assert biases == pytest.approx([0.030, 0.155], abs=5e-4)  # deg/s: to the digits given
 
 
 def test_roll_is_right_pitch_is_nose_down_and_yaw_is_turned_round():
-    level = Encoder(PARAMS).channels(0, flown((0.0, 0.0, 0.0)))
+    level = Encoder(PARAMS, LIMITS).channels(0, flown((0.0, 0.0, 0.0)))
     for axis, channel, sign in ((0, ROLL, 1), (1, PITCH, 1), (2, YAW, -1)):
-        moved = Encoder(PARAMS).channels(0, flown(np.eye(3)[axis]))
+        moved = Encoder(PARAMS, LIMITS).channels(0, flown(np.eye(3)[axis]))
         changes = {place: new - old for place, (new, old) in enumerate(zip(moved, level, strict=True)) if new != old}
         assert list(changes) == [channel] and math.copysign(1, changes[channel]) == sign
 
 
 @given(st.floats(0.0, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 0.2))
 def test_the_motors_pull_the_thrust_that_was_meant_or_idle(thrust, curve, idle):
-    params = PARAMS.replace(radio__thrust_curve=curve, radio__motor_idle=idle)
-    drive = idle + (1 - idle) * throttle(params, thrust)
+    radio = Radio(thrust_curve=curve, motor_idle=idle)
+    drive = idle + (1 - idle) * throttle(radio, thrust)
     idling = curve * idle**2 + (1 - curve) * idle
     # to rounding: the square root is of numbers of order one
     assert curve * drive**2 + (1 - curve) * drive == pytest.approx(max(thrust, idling), abs=1e-12)
 
 
 def test_with_the_default_parameters_thrust_is_the_share_of_the_motors_range():
-    channel = Encoder(PARAMS).channels(0, flown(thrust=0.2))[THROTTLE]
+    channel = Encoder(PARAMS, LIMITS).channels(0, flown(thrust=0.2))[THROTTLE]
     drive = 0.055 + 0.945 * (microseconds(channel) - 1050) / 950
     assert drive == pytest.approx(0.2, abs=HALF_COUNT / 950)
 
 
 def test_once_armed_the_throttle_stays_lowest_for_a_moment_because_betaflight_arms_only_then():
-    encoder, hold = Encoder(PARAMS), round(PARAMS.radio.arm_time * NANO)
+    encoder, hold = Encoder(PARAMS, LIMITS), round(LIMITS.radio.arm_time * NANO)
     start = 10 * NANO
     off, idle = encoder.channels(start - 1, disarmed(0)), encoder.channels(start, flown())
     assert microseconds(off[ARM]) < 1000 and microseconds(idle[ARM]) > 1999
     assert [*idle[:ARM], *idle[ARM + 1 :]] == [*off[:ARM], *off[ARM + 1 :]]
     assert encoder.channels(start + hold - 1, flown()) == idle
-    assert encoder.channels(start + hold, flown()) == Encoder(PARAMS).channels(0, flown())
+    assert encoder.channels(start + hold, flown()) == Encoder(PARAMS, LIMITS).channels(0, flown())
     encoder.channels(start + 2 * hold, disarmed(0))
     assert encoder.channels(start + 3 * hold, flown()) == idle
 
 
 def test_channels_can_be_ordered_otherwise_and_the_arm_switch_put_elsewhere():
-    params = PARAMS.replace(radio__channels="TAER", radio__arm_channel=7)
-    ours, usual = Encoder(params).channels(0, flown()), Encoder(PARAMS).channels(0, flown())
+    limits = LIMITS.replace(radio__channels="TAER", radio__arm_channel=7)
+    ours, usual = Encoder(PARAMS, limits).channels(0, flown()), Encoder(PARAMS, LIMITS).channels(0, flown())
     assert [ours[1], ours[2], ours[0], ours[3]] == usual[:4] and ours[6] == usual[ARM]
-    assert "map TAER1234" in betaflight_settings(params) and "aux 0 0 2 1700 2100 0 0" in betaflight_settings(params)
+    assert "map TAER1234" in betaflight_settings(
+        PARAMS.vehicle, limits.radio
+    ) and "aux 0 0 2 1700 2100 0 0" in betaflight_settings(PARAMS.vehicle, limits.radio)
 
 
 @pytest.mark.parametrize("setpoint", [flown((math.nan, 0, 0)), flown((0, math.inf, 0)), flown(thrust=math.nan)])
 def test_a_setpoint_that_is_not_finite_is_refused_unless_it_disarms(setpoint):
     with pytest.raises(ValueError, match="not finite"):
-        Encoder(PARAMS).frame(0, setpoint)
-    assert Encoder(PARAMS).frame(0, setpoint._replace(armed=False)) == Encoder(PARAMS).frame(0, disarmed(0))
+        Encoder(PARAMS, LIMITS).frame(0, setpoint)
+    assert Encoder(PARAMS, LIMITS).frame(0, setpoint._replace(armed=False)) == Encoder(PARAMS, LIMITS).frame(
+        0, disarmed(0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -198,7 +206,7 @@ def test_a_setpoint_that_is_not_finite_is_refused_unless_it_disarms(setpoint):
 )
 def test_parameters_that_make_no_sense_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
-        Encoder(PARAMS.replace(**change))
+        Encoder(PARAMS, LIMITS.replace(**change))
 
 
 def test_a_flight_that_uses_no_radio_records_none_of_its_parameters():
@@ -208,7 +216,7 @@ def test_a_flight_that_uses_no_radio_records_none_of_its_parameters():
 def test_the_page_gives_the_settings_that_belong_to_the_parameters_and_a_reason_for_each():
     page = (ROOT / "docs" / "radio.md").read_text(encoding="utf-8")
     block = page.split("```text\n")[1].split("```")[0]
-    assert block.splitlines() == betaflight_settings(PARAMS)
+    assert block.splitlines() == betaflight_settings(PARAMS.vehicle, LIMITS.radio)
     words = {line.split()[1].lstrip("-") for line in block.splitlines() if line.startswith(("set", "feature"))}
     kinds = {re.sub("^(roll|pitch|yaw)_(rc_rate|srate|expo)$", r"\2", word) for word in words}
     prose = page.replace(block, "")
@@ -217,7 +225,7 @@ def test_the_page_gives_the_settings_that_belong_to_the_parameters_and_a_reason_
 
 def test_the_page_tells_the_times_and_guesses_that_the_parameters_hold():
     page = " ".join((ROOT / "docs" / "radio.md").read_text(encoding="utf-8").split())
-    safety, radio, model = PARAMS.safety, PARAMS.radio, PARAMS.simulation
+    safety, radio, model = LIMITS.safety, LIMITS.radio, PARAMS.simulation
     for words in (
         f"inputs from {1e3 * safety.pose_flag:g} ms, level and descend from {1e3 * safety.pose_level:g} ms, "
         f"disarmed from {1e3 * safety.pose_disarm:g} ms",
@@ -236,7 +244,7 @@ def test_the_page_tells_the_times_and_guesses_that_the_parameters_hold():
 
 def test_settings_for_a_rate_that_betaflight_cannot_take_are_refused():
     with pytest.raises(ValueError, match=r"95 deg/s: Betaflight takes 10, 20"):
-        betaflight_settings(PARAMS.replace(vehicle__max_body_rate=math.radians(95.0)))
+        betaflight_settings(Vehicle(max_body_rate=math.radians(95.0)), LIMITS.radio)
 
 
 def through_the_air(channel: int) -> int:
@@ -263,7 +271,7 @@ class Received(VirtualLink):
 
     def __init__(self, scenario: Scenario, rounded: bool) -> None:
         super().__init__(scenario)
-        self._encoder, self._rounded = Encoder(scenario.params), rounded
+        self._encoder, self._rounded = Encoder(scenario.params, LIMITS), rounded
 
     def send(self, setpoint: Setpoint) -> None:
         *sticks, arm = decoded(self._encoder.frame(self.now(), setpoint))[: ARM + 1]
@@ -280,12 +288,14 @@ def test_the_rod_stays_up_on_what_is_left_of_the_setpoints_after_rounding_and_ra
     scenario = dataclasses.replace(SCENARIOS["push-hover"], duration=10.0)
     tilts = []
     for rounded in (False, True):
-        tape, guard = MemoryRecorder(), Guard(scenario.params, scenario.reference)
-        outcome = FlightLoop(scenario, Received(scenario, rounded), guard, tape).run()
-        assert outcome.survived and [entry.after for entry in guard.transitions][:2] == [Mode.READY, Mode.FLYING]
-        states = tape["state"]
-        states = states[(states[:, 0] > 1.0) & (states[:, 0] < 10.0)]
-        tilts.append(np.sqrt((states[:, 1:][:, [PHI, THETA]] ** 2).mean(axis=0)))
+        tape, guard = MemoryRecorder(), Guard(Pilot(scenario.params, scenario.reference))
+        loop = FlightLoop(scenario, Received(scenario, rounded), guard, tape)
+        loop.run()
+        assert loop.balanced and [entry.after for entry in guard.transitions][:2] == [Mode.READY, Mode.FLYING]
+        flown = tape.flight(scenario.name, scenario.metadata())
+        times = flown.time(flown.state)
+        states = flown.state.values[(times > 1.0) & (times < 10.0)]
+        tilts.append(np.sqrt((states[:, [PHI, THETA]] ** 2).mean(axis=0)))
     # with the push at 5.3 s; rounding changes the rms tilt by 0.2 %
     assert tilts[1] == pytest.approx(tilts[0], rel=0.01)
 
@@ -382,20 +392,20 @@ def assert_left_in_order(frames: list[tuple[float, list[int]]]) -> None:
     """The last frames are level and disarmed, for at least half a second."""
     last = max((index for index, frame in enumerate(frames) if armed(frame)), default=-1)
     tail = frames[last + 1 :]
-    level = Encoder(PARAMS).channels(0, disarmed(0))
+    level = Encoder(PARAMS, LIMITS).channels(0, disarmed(0))
     assert tail and all(channels == level for _, channels in tail)
     assert tail[-1][0] - tail[0][0] >= 0.5
     assert len(tail) >= 20  # 60 to 72 on a machine that is not busy
 
 
 def sender(module: Module) -> Sender:
-    return Sender(functools.partial(CrsfSink, module.name, PARAMS), PARAMS)
+    return Sender(functools.partial(CrsfSink, module.name, PARAMS, LIMITS), PARAMS, LIMITS)
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("baud", sorted(BAUDS))
 def test_the_port_is_opened_raw_and_at_the_rate_that_was_asked_for(module, baud):
-    sink = CrsfSink(module.name, PARAMS.replace(radio__baud=baud))
+    sink = CrsfSink(module.name, PARAMS, LIMITS.replace(radio__baud=baud))
     settings = fcntl.ioctl(module._slave, 0x802C542A, bytes(44))  # TCGETS2: the rate as a number, standard or not
     assert struct.unpack_from("<I", settings, 40) == (baud,)
     flags = termios.tcgetattr(module._slave)
@@ -410,7 +420,7 @@ def test_frames_come_at_the_rate_whole_and_end_level_and_disarmed(module):
     with sender(module) as one:
         until(lambda: one.send(flown()) or sum(map(armed, module.frames())) > 60)
         assert one.fault() is None
-        newest = Encoder(PARAMS).channels(0, flown())
+        newest = Encoder(PARAMS, LIMITS).channels(0, flown())
         assert module.frames()[-1][1] == newest  # the pause after arming is over
     frames = module.frames()
     assert module.torn() == 0 and one.counts.sent == len(frames) and one.counts.failed == 0
@@ -418,7 +428,7 @@ def test_frames_come_at_the_rate_whole_and_end_level_and_disarmed(module):
     assert_left_in_order(frames)
     quiet = [moment for moment, channels in frames if channels == frames[0][1]][:-1]
     # never faster than the rate: a busy machine may make frames late but not early (2 for those at the ends)
-    assert len(quiet) <= (frames[-1][0] - frames[0][0]) * PARAMS.safety.send_rate + 2
+    assert len(quiet) <= (frames[-1][0] - frames[0][0]) * LIMITS.safety.send_rate + 2
 
 
 @pytest.mark.realtime
@@ -448,7 +458,7 @@ def test_when_the_process_that_owns_the_port_is_killed_another_takes_it_and_disa
 
 @pytest.mark.realtime
 def test_whichever_call_first_meets_a_port_that_is_gone_it_is_told_in_plain_words(module, monkeypatch):
-    sink = CrsfSink(module.name, PARAMS)
+    sink = CrsfSink(module.name, PARAMS, LIMITS)
     sink.send(flown())
     module.unplug()
     gone = rf"{module.name} is gone \(Input/output error\): is the module still plugged in\?"
@@ -475,7 +485,7 @@ def test_an_unplugged_port_is_a_fault_in_plain_words_and_a_missing_one_stays_it(
 
 @pytest.mark.realtime
 def test_a_port_that_takes_nothing_is_left_out_then_reported_and_no_frame_is_torn(module):
-    sink = CrsfSink(module.name, PARAMS)
+    sink = CrsfSink(module.name, PARAMS, LIMITS)
     sent = 0
 
     def stuck() -> bool:
@@ -501,16 +511,16 @@ def test_a_port_that_takes_nothing_is_left_out_then_reported_and_no_frame_is_tor
 
 @pytest.mark.realtime
 def test_one_port_belongs_to_one_program(module):
-    sink = CrsfSink(module.name, PARAMS)
+    sink = CrsfSink(module.name, PARAMS, LIMITS)
     with pytest.raises(LinkError, match="another program uses it"):
-        CrsfSink(module.name, PARAMS)
+        CrsfSink(module.name, PARAMS, LIMITS)
     sink.close()
-    CrsfSink(module.name, PARAMS).close()
+    CrsfSink(module.name, PARAMS, LIMITS).close()
 
 
 def test_a_port_that_does_not_open_is_an_error_of_the_sender_in_its_words(tmp_path):
     with pytest.raises(SenderError, match="no serial port"):
-        Sender(functools.partial(CrsfSink, str(tmp_path / "port"), PARAMS), PARAMS)
+        Sender(functools.partial(CrsfSink, str(tmp_path / "port"), PARAMS, LIMITS), PARAMS, LIMITS)
 
 
 @pytest.mark.realtime
@@ -519,16 +529,19 @@ def test_without_pyserial_the_message_says_how_to_get_it(module, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(LinkError, match="needs pyserial"):
-        CrsfSink(module.name, PARAMS)
+        CrsfSink(module.name, PARAMS, LIMITS)
 
 
 class Still:
     """Poses from somewhere: a frame at every turn."""
 
     origin = "real"
+    truth = None
 
     def __init__(self) -> None:
         self.calls: list[str] = []
+        self.events: deque[Event] = deque()
+        self.pids: dict[str, int] = {}
 
     def __enter__(self) -> "Still":
         self.calls.append("enter")
@@ -553,7 +566,7 @@ class Still:
 @pytest.mark.realtime
 def test_poses_come_from_elsewhere_and_only_setpoints_go_out_of_the_port(module):
     poses = Still()
-    with CrsfLink(module.listen().name, poses, PARAMS) as link:
+    with CrsfLink(module.listen().name, poses, PARAMS, LIMITS) as link:
         assert link.origin == "real" and link.now() == 7 and link.receive(0.1) == (7, "frame") and link.truth is None
         until(lambda: link.send(flown()) or any(map(armed, module.frames())))
         assert link.fault() is None
@@ -561,7 +574,7 @@ def test_poses_come_from_elsewhere_and_only_setpoints_go_out_of_the_port(module)
         assert link.fault() == "poses lost"
     assert poses.calls == ["enter", "wait", "lost", "exit"]
     assert_left_in_order(module.frames())
-    absent = CrsfLink("/dev/absent", poses, PARAMS)
+    absent = CrsfLink("/dev/absent", poses, PARAMS, LIMITS)
     with pytest.raises(LinkError, match="--link crsf: no serial port /dev/absent"):
         absent.__enter__()
     assert poses.calls[-2:] == ["enter", "exit"]
@@ -572,7 +585,7 @@ def test_the_baud_option_sets_the_parameter_so_that_the_bag_tells_it():
     parser.add_argument("--set", action="append", default=[])
     CrsfLink.arguments(parser)
     options = parser.parse_args(["--set", "pendulum.length=0.8", "--crsf-baud", "400000"])
-    assert options.set == ["pendulum.length=0.8", "radio.baud=400000"] and options.crsf_baud == 400000
+    assert options.set == ["pendulum.length=0.8", "radio.baud=400000"]
     assert parser.parse_args([]).set == []
 
 
@@ -609,12 +622,18 @@ def test_the_bench_test_balances_the_rod_on_the_setpoints_that_leave_the_port(mo
     from fiplib import bags
 
     flight = bags.read(tmp_path / "bag")
-    assert flight.simulated and flight.metadata["link"] == "crsf" and flight.params.radio.baud == 400000
+    assert (
+        flight.simulated
+        and flight.metadata["link"] == "crsf"
+        and Limits.from_dict(flight.metadata["params"]).radio.baud == 400000
+    )
     # what the bag says was commanded is what left the port: each recorded command, to half a step of a channel
     sent = np.array([channels[:4] for moment, channels in frames if armed((moment, channels))])
-    wanted = np.array([Encoder(PARAMS).channels(0, flown(row[:3], row[3]))[:4] for row in flight.command.values])
+    wanted = np.array(
+        [Encoder(PARAMS, LIMITS).channels(0, flown(row[:3], row[3]))[:4] for row in flight.command.values]
+    )
     known = {tuple(row) for row in sent}
-    flying = [tuple(row) for row in wanted[round(PARAMS.radio.arm_time * 120) + 2 :]]
+    flying = [tuple(row) for row in wanted[round(LIMITS.radio.arm_time * 120) + 2 :]]
     # a frame may be superseded before it is due (a busy machine), and the bag has thrust in single precision
     assert sum(row in known for row in flying) > 0.9 * len(flying)
 
@@ -677,4 +696,4 @@ def test_a_mistake_is_answered_in_one_line_before_anything_is_recorded(arguments
 @pytest.mark.realtime
 def test_a_baud_that_no_module_listens_at_is_refused_with_those_that_it_does(module, tmp_path):
     answer = subprocess.run(command(module, tmp_path / "bag", "--crsf-baud", 420000), capture_output=True, text=True)
-    assert answer.returncode == 2 and "invalid choice" in answer.stderr and "921600" in answer.stderr
+    assert answer.returncode == 2 and "choose from" in answer.stderr and "921600" in answer.stderr

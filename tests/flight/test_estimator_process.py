@@ -12,6 +12,7 @@ from fiplib import bags, recording, replay
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.flight.estimator import EstimatorProcess
+from fiplib.flight.limits import Limits
 from fiplib.kalman import Window
 
 pytestmark = pytest.mark.realtime
@@ -42,27 +43,25 @@ def answer(process: EstimatorProcess, window: Window, patience: float = 60.0) ->
 
 
 def test_its_estimates_are_those_of_the_simulated_flight(flight, windows):
-    with EstimatorProcess(flight.params, flight.metadata["seed"]) as process:
+    with EstimatorProcess(flight.params, flight.metadata["seed"], Limits()) as process:
         for run in (0, 1):
             assert answer(process, windows[run]).length == flight.length.values[1 + run, 1]
             # the answer to the last call was followed by the next window at once: it is left to the next run
             while process.deliver(0, None) is None and process._busy:
                 time.sleep(0.005)
             process._runs = run + 1
-        assert process.seconds > 0.0 and process.remarks == []
+        assert process.seconds > 0.0 and not process.remarks
 
 
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "died (exit code -9)"), (signal.SIGSTOP, "hung for 5 s")]
 )
 def test_one_that_dies_or_hangs_is_started_again_and_given_up_in_the_end(flight, number, words):
-    params = flight.params.replace(
-        estimation__estimator="maximum_likelihood",  # a run takes a twentieth of a second, far from the timeout
-        safety__estimator_timeout=5.0,
-        safety__estimator_restarts=1,
-    )
+    # a run takes a twentieth of a second, far from the timeout
+    params = flight.params.replace(estimation__estimator="maximum_likelihood")
+    limits = Limits().replace(safety__estimator_timeout=5.0, safety__estimator_restarts=1)
     windows = [found.window for found in replay.windows(flight, params)[:1]]
-    with EstimatorProcess(params, 1) as process:
+    with EstimatorProcess(params, 1, limits) as process:
         for remark in (f"estimator {words}: started again", f"estimator {words}: given up after 1 restarts"):
             assert np.isfinite(answer(process, windows[0]).length)
             os.kill(process.pid, number)
@@ -74,7 +73,7 @@ def test_one_that_dies_or_hangs_is_started_again_and_given_up_in_the_end(flight,
 
 
 def test_an_exception_in_the_estimator_is_an_estimate_refused_with_its_words(flight, windows):
-    with EstimatorProcess(flight.params, 1) as process:
+    with EstimatorProcess(flight.params, 1, Limits()) as process:
         estimate = answer(process, "no window")
         assert np.isnan(estimate.length) and "Error" in estimate.reason
         while process._busy:
@@ -85,4 +84,4 @@ def test_an_exception_in_the_estimator_is_an_estimate_refused_with_its_words(fli
 
 def test_an_unknown_estimator_is_refused_before_any_process_starts(flight):
     with pytest.raises(ValueError, match=f"must be one of {', '.join(ESTIMATORS)}"):
-        EstimatorProcess(flight.params.replace(estimation__estimator="guess"), 1)
+        EstimatorProcess(flight.params.replace(estimation__estimator="guess"), 1, Limits())

@@ -1,14 +1,16 @@
 """Flights in real time with their processes: what happens when one of them is killed. Simulated vehicle."""
 
-import dataclasses
 import os
 import signal
 
+import numpy as np
 import pytest
 
 from fiplib.flight.failsafe import Guard
-from fiplib.flight.links.simulated import SimLink
+from fiplib.flight.limits import Limits
+from fiplib.flight.links.simulated import SimulatedLink
 from fiplib.flight.loop import FlightLoop
+from fiplib.pilot import Pilot
 from fiplib.recording import MemoryRecorder
 from fiplib.simulate import SCENARIOS
 
@@ -24,35 +26,34 @@ pytestmark = pytest.mark.realtime
 )
 def test_a_flight_whose_process_is_killed_ends_disarmed_with_the_reason(process, reason):
     # patient with poses: a machine that stalls for seconds must not be what ends this flight
-    patient = {"safety__pose_flag": 60.0, "safety__pose_level": 61.0, "safety__pose_disarm": 62.0}
+    limits = Limits().replace(safety__pose_flag=60.0, safety__pose_level=61.0, safety__pose_disarm=62.0)
     scenario = SCENARIOS["push-hover"]
-    scenario = dataclasses.replace(scenario, params=scenario.params.replace(**patient))
-    tape, guard = MemoryRecorder(), Guard(scenario.params, scenario.reference)
-    with SimLink(scenario) as link:
-        flight = FlightLoop(scenario, link, guard, tape)
-        until_in_the_air(flight, tape)
+    tape, guard = MemoryRecorder(), Guard(Pilot(scenario.params, scenario.reference), limits)
+    with SimulatedLink(scenario, limits) as link:
+        loop = FlightLoop(scenario, link, guard, tape)
+        until_in_the_air(loop)
         os.kill(link.pids[process], signal.SIGKILL)
-        outcome = flight.run()
-        last = [row[2] for row in tape.values["truth_state"]]
-    assert guard.ended == reason and not outcome.survived and len(last) > 1
-    assert tape.events[-1][2].endswith(f"-> disarmed: {reason}")
-    assert tape.values["command"][-1] == (0.0, 0.0, 0.0, 0.0)
+        loop.run()
+    flight = tape.flight("killed", scenario.metadata())
+    assert guard.ended == reason and not loop.balanced and len(flight.truth_state.values) > 1
+    assert flight.events[-1].text.endswith(f"-> disarmed: {reason}")
+    np.testing.assert_array_equal(flight.command.values[-1], np.zeros(4))
 
 
-def until_in_the_air(flight: FlightLoop, tape: MemoryRecorder) -> None:
-    while len(tape.values.get("command", ())) <= 60:
-        assert flight.guard.ended is None
-        flight.step()
+def until_in_the_air(loop: FlightLoop) -> None:
+    while loop.clockwork.ticks <= 60:
+        assert loop.guard.ended is None
+        loop.step()
 
 
 def test_the_motors_of_the_vehicle_stop_when_its_sender_is_killed():
     scenario = SCENARIOS["push-hover"]
-    tape, guard = MemoryRecorder(), Guard(scenario.params, scenario.reference)
-    with SimLink(scenario) as link:
-        flight = FlightLoop(scenario, link, guard, tape)
-        until_in_the_air(flight, tape)
+    with SimulatedLink(scenario, Limits()) as link:
+        guard = Guard(Pilot(scenario.params, scenario.reference))
+        loop = FlightLoop(scenario, link, guard, MemoryRecorder())
+        until_in_the_air(loop)
         os.kill(link.pids["sender"], signal.SIGKILL)
-        flight.run()
+        loop.run()
         # from 1.3 m it falls to the ground in half a second
         for _ in range(240 * 20):
             link.receive(0.1)

@@ -35,6 +35,7 @@ from hypothesis import strategies as st
 
 from fiplib import bags, recording
 from fiplib.bags.messages import Layout, typestore
+from fiplib.flight.limits import Limits
 from fiplib.flight.links import LinkError, ros2
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.recording import ATTITUDE
@@ -120,7 +121,7 @@ def options(*arguments: str) -> argparse.Namespace:
     ],
 )
 def test_topics_are_named_by_the_driver_or_in_full(arguments, topics):
-    link = ros2.Ros2Link.from_options(options("--ros2-origin", "real", *arguments), SCENARIO)
+    link = ros2.Ros2Link.from_options(options("--ros2-origin", "real", *arguments), SCENARIO, Limits())
     assert link.poses.topics == topics and link.origin == "real"
 
 
@@ -136,13 +137,13 @@ def test_topics_are_named_by_the_driver_or_in_full(arguments, topics):
 )
 def test_options_that_make_no_sense_are_refused_with_what_to_do(arguments, words):
     with pytest.raises(ValueError) as caught:
-        ros2.Ros2Link.from_options(options(*arguments), SCENARIO)
+        ros2.Ros2Link.from_options(options(*arguments), SCENARIO, Limits())
     assert words in str(caught.value)
 
 
 def test_without_ros_2_the_link_says_what_is_missing_and_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    link = ros2.Ros2Link.from_options(options("--ros2-origin", "simulated"), SCENARIO)
+    link = ros2.Ros2Link.from_options(options("--ros2-origin", "simulated"), SCENARIO, Limits())
     with pytest.raises(LinkError, match=r"ROS 2 is not there.*setup\.bash"), link:
         pass
 
@@ -232,7 +233,7 @@ def free_domain() -> int:
 def vehicle(python: str, surroundings: dict[str, str], *arguments: str) -> Iterator[dict[str, Any]]:
     """A simulated vehicle; what became of it is in the dictionary afterwards (see ``ros2_vehicle.fly``)."""
     process = subprocess.Popen(
-        [python, ROOT / "tests/ros2_vehicle.py", *arguments],
+        [python, ROOT / "tests/flight/ros2_vehicle.py", *arguments],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=surroundings,
     )  # fmt: skip
     told: dict[str, Any] = {}
@@ -277,7 +278,7 @@ def assert_balanced(
     # 120 a second; the machine may be busy, but with half of them nothing would be balanced
     assert len(commands) > 60 * duration and np.isfinite(commands).all()
     assert np.abs(commands[:, :3]).max() <= SCENARIO.params.vehicle.max_body_rate + 1e-12
-    assert 0.0 < commands[:, 3].min() and commands[:, 3].max() <= SCENARIO.params.safety.max_thrust
+    assert 0.0 < commands[:, 3].min() and commands[:, 3].max() <= Limits().safety.max_thrust
     return flight
 
 
@@ -414,7 +415,7 @@ def test_whoever_is_killed_in_flight_the_commands_end_disarmed(python, surroundi
         finally:
             process.kill()
             process.wait()
-        time.sleep(SCENARIO.params.safety.leave_time + 1.0)
+        time.sleep(Limits().safety.leave_time + 1.0)
     assert told["commands"] > 100 and told["refused"] == 0
     assert told["stopped"] is not None and told["disarms"] >= 30  # 0.6 s at 120 Hz; a busy machine drops some
 

@@ -16,12 +16,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fiplib.flight.limits import Limits
 from fiplib.flight.sender import DeadMan, Sender, SenderError, decode, encode
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.params import NANO, Params
 
 PARAMS = Params()
-SAFETY = PARAMS.safety
+LIMITS = Limits()
+SAFETY = LIMITS.safety
 PERIOD = round(NANO / SAFETY.send_rate)
 
 
@@ -80,7 +82,7 @@ def assert_left_in_order(found: list[Any]) -> None:
 
 
 def test_a_fresh_setpoint_is_repeated_then_levelled_then_disarmed_for_good():
-    dead_man = DeadMan(PARAMS)
+    dead_man = DeadMan(PARAMS, LIMITS)
     assert dead_man.due(0) == disarmed(0)._replace(body_rate=pytest.approx(np.zeros(3)))
     dead_man.hear(0, flown())
     sent = [dead_man.due(now) for now in range(0, NANO, PERIOD)]
@@ -95,7 +97,7 @@ def test_a_fresh_setpoint_is_repeated_then_levelled_then_disarmed_for_good():
 
 
 def test_levelling_takes_out_the_tilt_that_was_expected():
-    dead_man = DeadMan(PARAMS)
+    dead_man = DeadMan(PARAMS, LIMITS)
     dead_man.hear(0, flown(tilt=0.1))
     sent = [dead_man.due(now) for now in range(0, NANO // 2, PERIOD)]
     levelling = [setpoint for setpoint in sent if setpoint.mode is Mode.LEVEL]
@@ -106,7 +108,7 @@ def test_levelling_takes_out_the_tilt_that_was_expected():
 
 
 def test_a_pause_shorter_than_the_limit_is_forgiven():
-    dead_man = DeadMan(PARAMS)
+    dead_man = DeadMan(PARAMS, LIMITS)
     for now in (0, 300_000_000, 700_000_000):
         dead_man.hear(now, flown())
         assert dead_man.due(now).mode is Mode.FLYING
@@ -122,7 +124,7 @@ numbers = st.floats() | st.floats(-3.0, 3.0)
     )
 )
 def test_nothing_that_is_heard_makes_it_send_what_is_not_finite_or_out_of_bounds(heard):
-    dead_man, now = DeadMan(PARAMS), 0
+    dead_man, now = DeadMan(PARAMS, LIMITS), 0
     for elapsed, armed, rates, thrust, tilt in heard:
         now += elapsed
         dead_man.hear(
@@ -153,7 +155,7 @@ def output(tmp_path: Path) -> Path:
 
 
 def sender(output: Path) -> Sender:
-    return Sender(functools.partial(FileSink, str(output)), PARAMS)
+    return Sender(functools.partial(FileSink, str(output)), PARAMS, LIMITS)
 
 
 def keep_sending(one: Sender, output: Path, count: int) -> None:
@@ -186,11 +188,11 @@ PILOT = """
 import ctypes, functools, sys, time
 from pathlib import Path
 sys.path.insert(0, {root!r})
-from tests.flight.test_sender import PARAMS, FileSink, flown
+from tests.flight.test_sender import LIMITS, PARAMS, FileSink, flown
 from fiplib.flight.sender import Sender
 
 if __name__ == "__main__":
-    sender = Sender(functools.partial(FileSink, {output!r}), PARAMS)
+    sender = Sender(functools.partial(FileSink, {output!r}), PARAMS, LIMITS)
     print(sender.pid, flush=True)
     end = time.monotonic() + 1.0
     while time.monotonic() < end:

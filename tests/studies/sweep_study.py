@@ -4,8 +4,8 @@ import os
 
 from fiplib.params import Params
 from fiplib.pilot import Hover
-from fiplib.recording import MemoryRecorder
 from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("length", "seed")
 
@@ -18,7 +18,12 @@ def run(case: dict) -> dict[str, float | str]:
     if case["seed"] < 0:
         os._exit(1)  # as a segmentation fault or the kernel short of memory end a worker
     params = Params().replace(pendulum__length=case["length"])
-    tape = MemoryRecorder()
-    outcome = fly(Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"]), tape)
-    lean = float(tape["truth_state"][-1, 5])
-    return {"duration": outcome.duration, "survived": outcome.survived, "lean": lean, "lean_bits": lean.hex()}
+    scenario = Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"])
+    flight = fly(scenario)
+    lean = float(flight.truth_state.values[-1, 4])
+    return {
+        "duration": seconds_flown(flight, scenario),
+        "survived": flight.survived,
+        "lean": lean,
+        "lean_bits": lean.hex(),
+    }

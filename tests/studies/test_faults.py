@@ -1,5 +1,6 @@
 """The fault campaign: part of it flown again, and what its table and page say."""
 
+import argparse
 import csv
 from pathlib import Path
 
@@ -8,12 +9,10 @@ import pytest
 
 from fiplib.params import NANO
 from fiplib.recording import Measurement
-from fiplib.studies.faults import injection
+from fiplib.studies.faults import campaign, injection
+from fiplib.studies.faults.verdict import DISARM_SECONDS, Fault, judge
 
 ROOT = Path(__file__).parents[2]
-from fiplib.studies.faults import campaign  # noqa: E402
-
-VIRTUAL, REAL = campaign.virtual_faults(), campaign.process_faults()
 with (ROOT / "data/faults.csv").open(newline="", encoding="utf-8") as file:
     ROWS = {row["fault"]: row for row in csv.DictReader(file)}
 
@@ -35,7 +34,7 @@ def delivered(fault: injection.FrameFault, count: int = 240) -> list[list[Measur
 
 
 def test_lost_frames_are_those_of_the_time_asked_for_and_no_others():
-    arrived = delivered(injection.lost(0.25, 0.1))
+    arrived = delivered(injection.dropped(0.25, 0.1))
     assert [index for index, got in enumerate(arrived) if not got] == list(range(60, 84))
     assert all(got[0].stamp == index * NANO // 240 for index, got in enumerate(arrived) if got)
 
@@ -69,7 +68,7 @@ def test_a_change_touches_one_frame_or_those_of_its_time(seconds):
 def test_changes_do_what_they_say():
     _, frame = frames(8)[7]
     assert injection.swapped(frame).vehicle_position[0] == 7.5
-    assert injection.moved("pendulum", (0.0, 0.5, 0.0))(frame).pendulum_position.tolist() == [7.5, 8.0, 7.5]
+    assert injection.moved("pendulum", 0.0, 0.5)(frame).pendulum_position.tolist() == [7.5, 8.0, 7.5]
     assert np.linalg.norm(injection.longer("vehicle", 1.01)(frame).vehicle_attitude) == pytest.approx(1.01, abs=1e-12)
     # half of 0.6 rad, to rounding
     assert injection.tilted(0.6)(frame).vehicle_attitude[0] == pytest.approx(np.sin(0.3), abs=1e-12)
@@ -102,10 +101,10 @@ FLOWN = (
 
 @pytest.mark.parametrize("name", FLOWN)
 def test_an_injected_fault_ends_as_the_table_says_and_meets_the_target(name):
-    row = campaign.fly(VIRTUAL[name])
+    row = campaign.FAULTS[name].fly()
     assert row["verdict"].startswith("met:") and row["uncaught_exception"] == "no" and row["bag"] == "valid"
     assert row["not_finite"] == row["out_of_bounds"] == 0
-    assert float(row["disarm_s"]) >= campaign.DISARM_SECONDS and float(row["longest_gap_ms"]) < 25.0
+    assert float(row["disarm_s"]) >= DISARM_SECONDS and float(row["longest_gap_ms"]) < 25.0
     assert {key: str(value) for key, value in row.items()} == {
         key: value for key, value in ROWS[name].items() if key != "fault"
     }
@@ -113,7 +112,7 @@ def test_an_injected_fault_ends_as_the_table_says_and_meets_the_target(name):
 
 @pytest.mark.realtime
 def test_a_killed_pilot_is_survived_by_the_commands_and_by_the_recording():
-    row = campaign.fly_processes(REAL["kill-pilot"])
+    row = campaign.FAULTS["kill-pilot"].fly()
     assert row["verdict"].startswith("met: ended safely") and row["bag"] == "valid"
     assert row["disarm_s"] == ">=0.5" and row["not_finite"] == row["out_of_bounds"] == 0
 
@@ -135,11 +134,11 @@ def test_a_killed_pilot_is_survived_by_the_commands_and_by_the_recording():
     ],
 )
 def test_a_verdict_hides_no_flight_that_falls_short(flight, expected):
-    assert campaign.verdict(*flight).startswith(expected)
+    assert judge(*flight).startswith(expected)
 
 
 def test_the_table_has_every_fault_and_names_those_that_fall_short():
-    assert set(ROWS) == set(VIRTUAL) | set(REAL) and len(ROWS) >= 25
+    assert list(ROWS) == list(campaign.FAULTS) and len(ROWS) >= 25
     # a fault that falls short is named here, and docs/faults.md says why
     assert [name for name, row in ROWS.items() if row["verdict"].startswith("NOT MET")] == []
     assert all(row["uncaught_exception"] == "no" for row in ROWS.values())
@@ -151,26 +150,39 @@ def test_the_page_shows_the_table():
     assert campaign.with_table(page, list(ROWS.values())) == page
 
 
-def test_an_unknown_fault_is_refused_in_one_line(capsys):
-    assert campaign.main(["earthquake"]) == 2
-    assert capsys.readouterr().err == "faults.py: no fault 'earthquake'; --list lists them\n"
-    assert campaign.main(["abort"]) == 2
-    assert "--output" in capsys.readouterr().err
+def run(*arguments):
+    parser = argparse.ArgumentParser()
+    campaign.add_arguments(parser)
+    return campaign.run(parser.parse_args(list(map(str, arguments))))
 
 
-def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
+def test_an_unknown_fault_is_refused_in_one_sentence():
+    with pytest.raises(ValueError, match="no fault 'earthquake'; --list lists them"):
+        run("earthquake")
+    with pytest.raises(ValueError, match="--output"):
+        run("abort")
+
+
+def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path):
     flown = []
 
-    def fly(fault):
-        flown.append(fault.what)
-        if len(flown) == 2:
-            raise KeyboardInterrupt
-        return {**{key: value for key, value in ROWS["abort"].items() if key != "fault"}, "what": fault.what}
+    class Interrupted(Fault):
+        def fly(self):
+            flown.append(self.what)
+            if len(flown) == 2:
+                raise KeyboardInterrupt
+            return self.row(verdict="met: recovered")
 
-    monkeypatch.setattr(campaign, "fly", fly)
-    arguments = ["abort", "push-far", "--output", str(tmp_path / "some.csv")]
-    assert campaign.main(arguments) == 130 and not (tmp_path / "some.csv").exists()
-    assert campaign.main(arguments) == 0 and len(flown) == 3
-    rows = campaign.rows_of(tmp_path / "some.csv")
-    assert [row["fault"] for row in rows] == ["abort", "push-far"]
-    assert "2 faults: 2 met" in capsys.readouterr().out
+    faults = {name: Interrupted("poses", name) for name in ("one", "two")}
+    with pytest.raises(KeyboardInterrupt):
+        campaign.fly(faults, tmp_path / "some.csv")
+    assert not (tmp_path / "some.csv").exists()
+    campaign.fly(faults, tmp_path / "some.csv")
+    assert flown == ["one", "two", "two"]
+    assert [row["fault"] for row in campaign.rows_of(tmp_path / "some.csv")] == ["one", "two"]
+
+
+def test_the_command_says_what_has_become_of_each_fault(tmp_path, capsys):
+    assert run("push-strong", "--output", tmp_path / "some.csv") == 0
+    said = capsys.readouterr().out
+    assert "met: recovered" in said and f"1 faults: 1 met; wrote {tmp_path / 'some.csv'}" in said

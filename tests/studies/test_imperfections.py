@@ -11,7 +11,7 @@ from fiplib.estimators import likelihood
 from fiplib.estimators.likelihood import WindowModel, maximum_likelihood
 from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO
-from fiplib.recording import Flight, MemoryRecorder
+from fiplib.recording import Flight
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import imperfections as study
 
@@ -29,16 +29,16 @@ def window_of(flight: Flight, after: float = 5.0) -> RawWindow:
 
 @pytest.mark.parametrize("name", study.IMPERFECTIONS)
 def test_the_estimate_and_its_interval_bear_every_imperfection_of_the_study(brief, name):
-    flight, survived = study.flown(study.IMPERFECTIONS[name], seed=1)
+    flight = study.flown(study.IMPERFECTIONS[name], seed=1)
     answer = maximum_likelihood(window_of(flight), flight.params)
-    assert survived and answer.reason is None
+    assert flight.survived and answer.reason is None
     # 4 deviations are passed once in 16 000; without any of this they are some 4 to 6 mm
     assert answer.standard_deviation < 0.009
     assert abs(answer.length - 1.0) < 4 * answer.standard_deviation
 
 
 def test_a_tenth_of_a_millimetre_deceives_an_estimator_that_takes_the_calibration_for_exact(brief):
-    flight, _ = study.flown(study.IMPERFECTIONS["marker 0.1 mm off"], seed=1)
+    flight = study.flown(study.IMPERFECTIONS["marker 0.1 mm off"], seed=1)
     windows = [window_of(flight, after) for after in (4.0, 5.0, 6.0)]
     answers = [maximum_likelihood(window, flight.params, nuisances=()) for window in windows]
     assert max(abs(one.length - 1.0) / one.standard_deviation for one in answers) > 4
@@ -47,7 +47,7 @@ def test_a_tenth_of_a_millimetre_deceives_an_estimator_that_takes_the_calibratio
 
 
 def test_a_length_goes_with_the_thrust_unless_that_is_weighed(brief, monkeypatch):
-    flight, _ = study.flown(study.IMPERFECTIONS["thrust 5 % less"], seed=1)
+    flight = study.flown(study.IMPERFECTIONS["thrust 5 % less"], seed=1)
     window = window_of(flight)
     weighed = maximum_likelihood(window, flight.params)
     monkeypatch.setattr(WindowModel, "_weighed", lambda model: 1.0)
@@ -60,7 +60,7 @@ def test_a_length_goes_with_the_thrust_unless_that_is_weighed(brief, monkeypatch
 def test_the_scales_show_the_thrust_that_is_there(brief):
     thrusts = {}
     for name in ("none", "thrust 5 % less"):
-        flight, _ = study.flown(study.IMPERFECTIONS[name], seed=1)
+        flight = study.flown(study.IMPERFECTIONS[name], seed=1)
         model = WindowModel(window_of(flight), flight.params)
         command = model._lagged(model._window.command[:, 2], flight.params.simulation.thrust_lag)[0].mean()
         thrusts[name] = model._thrust.mean() / command
@@ -78,7 +78,7 @@ def test_a_window_that_noise_explains_does_not_wander_and_one_that_it_does_not_d
 
     monkeypatch.setattr(WindowModel, "likely_wander", noted)
     for name, wanders in (("none", False), ("commands 3 ms late, jitter 1 ms", True)):
-        flight, _ = study.flown(study.IMPERFECTIONS[name], seed=1)
+        flight = study.flown(study.IMPERFECTIONS[name], seed=1)
         maximum_likelihood(window_of(flight), flight.params)
         assert bool(kept) == wanders
     # commands of 30 deg/s that come a millisecond early or late: half a milliradian each, a dozen in a step
@@ -87,7 +87,7 @@ def test_a_window_that_noise_explains_does_not_wander_and_one_that_it_does_not_d
 
 def test_the_wandering_that_is_most_likely_is_the_one_that_was_put_in(brief):
     """Gusts of 5 deg/s, white from command to command, turn the vehicle at random: a step is their sum."""
-    flight, _ = study.flown(study.IMPERFECTIONS["gusts of 5 deg/s"], seed=1)
+    flight = study.flown(study.IMPERFECTIONS["gusts of 5 deg/s"], seed=1)
     model = WindowModel(window_of(flight), flight.params)
     found = model.likely_wander(1.0, flight.params.pendulum.inertia_factor, flight.params.simulation.rate_lag)
     ticks = likelihood.KNOT * flight.params.piloting.control_rate
@@ -98,18 +98,15 @@ def test_the_wandering_that_is_most_likely_is_the_one_that_was_put_in(brief):
 
 def test_flying_with_another_vehicle_changes_nothing_but_the_vehicle(brief):
     perfect = Scenario("circle", "", 3.0, study.CIRCLE, seed=40_001)
-    tapes = MemoryRecorder(), MemoryRecorder()
-    fly(perfect, tapes[0])
-    fly(
+    same = fly(
         perfect,
-        tapes[1],
         vehicle=lambda *about: study.ImperfectPlant(*about, imperfection=study.Imperfection(), seed=1),
     )
-    np.testing.assert_array_equal(tapes[0]["truth_state"], tapes[1]["truth_state"])
+    np.testing.assert_array_equal(fly(perfect).truth_state.values, same.truth_state.values)
 
 
 def test_what_is_misread_is_misread_by_as_much_as_is_said(brief):
-    flight, _ = study.flown(study.Imperfection(), seed=1)
+    flight = study.flown(study.Imperfection(), seed=1)
     wrong = study.misread(flight, study.Imperfection(marker=1e-3, mount=math.radians(0.5)))
     np.testing.assert_allclose((wrong.pendulum.position - flight.pendulum.position)[:, :2], 1e-3, rtol=1e-9)
     angles = [np.array([euler_angles(q) for q in one.vehicle.orientation[::100]]) for one in (flight, wrong)]

@@ -5,6 +5,7 @@ Built here without running the notebooks, whose outputs ``make book`` checks in 
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -79,7 +80,7 @@ def test_every_notebook_and_every_module_has_a_page(html):
 
 def test_a_link_to_a_module_in_a_notebook_becomes_one_to_its_page(html):
     page = book.Page((html / "notebooks/09-paper-figures.html").read_text())
-    assert "../api/fiplib.reproduction.figures.html" in page.links
+    assert "../api/fiplib.products.html" in page.links
     assert "10-errata.html" in page.links
 
 
@@ -131,6 +132,12 @@ def test_a_page_that_links_to_nowhere_is_named_before_anything_is_built(tmp_path
         book.relinked("[x](no-such-file.py)", ROOT / "README.md", tmp_path)
 
 
-def test_a_module_that_no_chapter_names_comes_last():
-    index = book.module_index(["fiplib.mpc", "fiplib.unheard_of"])
-    assert index.index("fiplib.mpc") < index.index("## Further") < index.index("fiplib.unheard_of")
+def test_the_index_lists_each_module_in_the_chapter_of_its_package():
+    chapters = dict(re.findall(r"^## (.+?)\n(.+?)(?=^## |\Z)", book.module_index(ROOT / "fiplib"), re.M | re.S))
+    assert "fiplib.mpc" in chapters["The core"].splitlines()
+    assert {"fiplib.bags", "fiplib.bags.reader"} <= set(chapters["Bags"].splitlines())
+    assert "fiplib.flight.links.ros2" in chapters["Flight"].splitlines()
+    listed = re.findall(r"^fiplib\.\S+$", "\n".join(chapters.values()), re.M)
+    modules = {book.module_name(path) for path in ROOT.glob("fiplib/**/*.py")} - {"fiplib"}
+    assert sorted(listed) == sorted(modules)
+    assert "ROS 2 bags" in chapters["Bags"].partition("```")[0]

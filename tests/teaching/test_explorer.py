@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from fiplib import bags, estimators, ga, recording, replay
+from fiplib import bags, ga, recording, replay
 from fiplib.bags.messages import typestore
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.grid import grid
 from fiplib.recording import TOPICS
-from fiplib.teaching import explorer_fit
-from fiplib.teaching.explorer import CONVENTIONS, Explorer
+from fiplib.teaching.explorer import CONVENTIONS, Explorer, compare, fit_window
 from fiplib.teaching.explorer_plots import Picture
 
 DATA = Path(__file__).parents[2] / "data"
@@ -154,7 +155,7 @@ def test_without_a_path_and_without_a_choice_the_page_asks_for_one(tmp_path: Pat
 def test_a_window_too_long_or_too_short_is_said_so(page: Explorer) -> None:
     page.period.value = 1 / 120
     page.press.click()
-    assert f"takes 2 to {explorer_fit.MOST_SAMPLES}" in page.answer.value
+    assert f"takes 2 to {replay.MOST_SAMPLES}" in page.answer.value
     page.period.value = 0.2
     page.span.value = (5.0, 5.1)
     page.press.click()
@@ -167,9 +168,7 @@ def test_the_window_is_the_one_that_the_estimator_was_given_in_flight(flight: re
     end = (given.stamp - flight.start_ns) / 1e9
     tick = 1 / flight.params.piloting.control_rate
     start = end - (len(given.window.states) - 1) * given.window.step
-    window, params = explorer_fit.window_between(
-        flight, replay.states(flight), start - tick / 2, end + tick / 2, flight.params
-    )
+    window, params = replay.window_between(flight, start - tick / 2, end + tick / 2, flight.params)
     assert params.estimation.window == flight.params.estimation.window
     np.testing.assert_array_equal(window.states, given.window.states)
     np.testing.assert_array_equal(window.inputs, given.window.inputs)
@@ -178,26 +177,26 @@ def test_the_window_is_the_one_that_the_estimator_was_given_in_flight(flight: re
 def test_the_rate_of_commands_is_read_from_the_bag_and_not_assumed(flight: recording.Flight) -> None:
     command = replace(flight.command, stamp=flight.command.stamp[::2], values=flight.command.values[::2])
     slow = replace(flight, command=command, metadata={"origin": "unknown"})
-    window, _ = explorer_fit.window_between(slow, replay.states(slow), 5.0, 9.0, slow.params)
+    window, _ = replay.window_between(slow, 5.0, 9.0, slow.params)
     assert window.step == pytest.approx(0.1, rel=1e-6)  # stamps are whole nanoseconds
     assert len(window.states) in (40, 41)  # where the first of 240 ticks falls
 
 
-def test_a_refit_finds_what_the_estimator_finds_and_the_whole_landscape_has_the_same_minimum(
+def test_the_fit_of_a_window_finds_what_the_estimator_finds_and_the_whole_landscape_has_the_same_minimum(
     flight: recording.Flight,
 ) -> None:
     window = replay.windows(flight)[30].window
-    found = explorer_fit.refit(window, flight.params, seed=3)
+    found = fit_window(window, flight.params, seed=3)
     expected = ga.estimate(window, flight.params, np.random.default_rng(3))
     assert (found.found.length, found.found.standard_deviation) == (expected.length, expected.standard_deviation)
-    assert found.best == estimators.grid(window, flight.params).length
+    assert found.best == grid(window, flight.params).length
 
 
 def test_all_estimators_are_compared_on_the_same_stretch(page: Explorer) -> None:
     page.press.click()
     page.rival.click()
     compared = page.rows[1:]
-    assert [row["estimator"] for row in compared] == list(estimators.ESTIMATORS)
+    assert [row["estimator"] for row in compared] == list(ESTIMATORS)
     assert compared[0]["length_m"] == page.rows[0]["length_m"], "the same algorithm, window and seed"
     for row in compared:
         assert row["estimator"] in page.compared.value
@@ -206,8 +205,8 @@ def test_all_estimators_are_compared_on_the_same_stretch(page: Explorer) -> None
 
 
 def test_an_estimator_that_cannot_take_the_stretch_says_why(flight: recording.Flight) -> None:
-    window, params = explorer_fit.window_between(flight, replay.states(flight), 0.0, 5.4, flight.params)
-    rows = {name: found for name, found, _ in explorer_fit.compare(flight, window, 0.0, 5.4, params, 1)}
+    window, params = replay.window_between(flight, 0.0, 5.4, flight.params)
+    rows = {name: found for name, found, _ in compare(flight, window, 0.0, 5.4, params, 1)}
     assert math.isfinite(rows["ga"].length)
     assert math.isnan(rows["maximum_likelihood"].length)
     assert "commands from 0.1 s before" in rows["maximum_likelihood"].reason

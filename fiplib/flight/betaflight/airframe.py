@@ -3,7 +3,7 @@
 ``simulate.Plant`` stands for an inner loop by a delay and a lag. ``MotorPlant`` is the same vehicle and rod with four
 motors instead: body rates follow from the motors' thrusts, and these from whatever firmware is given to it, which sees
 a gyroscope, an accelerometer and radio channels as on a vehicle. Pure: no sockets and no clock, see
-``fiplib/studies/betaflight.py``. A model, and simulated like everything here: vibration, battery, blade stall, ground effect,
+``sitl.Betaflight``. A model, and simulated like everything here: vibration, battery, blade stall, ground effect,
 gyroscope noise and the radio's own delay are not in it.
 
 Axes are ours, x forward, y left, z up; Betaflight's packets take x forward, y right, z down.
@@ -23,7 +23,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
-from fiplib.flight.radio import US_OFFSET, US_PER_COUNT, betaflight_settings
+from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
+from fiplib.flight.limits import Limits
 from fiplib.params import GRAVITY, Params, quantity
 from fiplib.simulate import Plant
 
@@ -60,7 +61,7 @@ class Airframe:
     exchange_rate: float = quantity(1920.0, "Hz", "our choice: sensors and motors; eight to a frame of motion capture")
 
 
-class Firmware(Protocol):
+class InnerLoop(Protocol):
     """An inner loop: sensors and channels in, motor commands out."""
 
     def exchange(
@@ -80,13 +81,13 @@ class Firmware(Protocol):
         ...
 
 
-def settings(params: Params) -> list[str]:
-    """Lines for Betaflight's command line: ``crsf.betaflight_settings`` but for the serial receiver that SITL lacks.
+def settings(params: Params, limits: Limits) -> list[str]:
+    """Lines for Betaflight's command line: ``betaflight_settings`` but for the serial receiver that SITL lacks.
 
     Smoothing of the channels and feedforward, which they switch off, SITL never starts anyway: it counts every pass of
     its receiver as a frame, and these come faster than the firmware believes.
     """
-    return [line for line in betaflight_settings(params) if not line.startswith("set serialrx_")]
+    return [line for line in betaflight_settings(params.vehicle, limits.radio) if not line.startswith("set serialrx_")]
 
 
 def sensors(body_rate: ArrayLike, specific_force: ArrayLike, attitude: ArrayLike) -> bytes:
@@ -175,7 +176,7 @@ class MotorPlant(Plant):
         params: vehicle, pendulum, simulation.
         position: (3,) m, where the vehicle is held at the start.
         lean: (a, b) in m at the start.
-        firmware: the inner loop.
+        inner: the inner loop.
         airframe: inertia and motors.
         idle: the 16 channels from the start on, before any command.
 
@@ -194,7 +195,7 @@ class MotorPlant(Plant):
         params: Params,
         position: ArrayLike,
         lean: ArrayLike,
-        firmware: Firmware,
+        inner: InnerLoop,
         airframe: Airframe,
         idle: Sequence[int],
     ) -> None:
@@ -203,7 +204,7 @@ class MotorPlant(Plant):
         self.x = np.concatenate([self.x[:19], np.zeros(4)])
         self.held = True
         self.trace: Callable[[NDArray], None] | None = None
-        self._firmware = firmware
+        self._inner = inner
         self._latency = round(params.simulation.mocap_latency * airframe.exchange_rate)
         self._frames: deque[tuple[int, Sequence[int]]] = deque([(0, idle)])
         self._lag = 1.0 - math.exp(-1.0 / (airframe.exchange_rate * airframe.motor_lag))
@@ -235,7 +236,7 @@ class MotorPlant(Plant):
             while self._frames and self._frames[0][0] <= self._substep:
                 came = self._frames.popleft()[1]
             x = self.x
-            self.outputs[:] = self._firmware.exchange(x[PLANT["body_rate"]], self._felt, x[PLANT["attitude"]], came)
+            self.outputs[:] = self._inner.exchange(x[PLANT["body_rate"]], self._felt, x[PLANT["attitude"]], came)
             np.clip(self.outputs, 0.0, 1.0, out=self.outputs)
             if self.held:
                 x[SPEEDS] += self._lag * (self.outputs - x[SPEEDS])

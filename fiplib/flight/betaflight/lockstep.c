@@ -1,4 +1,4 @@
-/* A clock that waits: preloaded into Betaflight SITL by fiplib/studies/betaflight.py, so that nothing measured there depends on
+/* A clock that waits: preloaded into Betaflight SITL by sitl.py, so that nothing measured there depends on
  * how fast or how busy the machine is. The firmware itself is not changed; five functions of its C library are.
  *
  *   clock_gettime, nanosleep   With FIP_STEP, time passes in the firmware's main thread only: each look at the clock

@@ -10,17 +10,19 @@ import errno
 import functools
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from numpy.typing import NDArray
 
-from fiplib.flight.links import LinkError
-from fiplib.flight.links.simulated import SimLink
-from fiplib.flight.radio import BAUDS, FRAME_BYTES, Encoder
+from fiplib.flight.crsf_frames import BAUDS, FRAME_BYTES, Encoder
+from fiplib.flight.limits import Limits, Radio
+from fiplib.flight.links import LinkError, PoseSource
+from fiplib.flight.links.ros2 import Ros2Poses
+from fiplib.flight.links.simulated import SimulatedLink
 from fiplib.flight.sender import Sender, SenderError
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO, Params
@@ -35,62 +37,51 @@ DRAIN = 0.05
 """Longest wait for the last frames to leave the port, s; 26 bytes take 2.3 ms at the lowest rate."""
 
 
-class _Baud(argparse.Action):
-    """``--crsf-baud N`` is ``--set radio.baud=N``: a bag carries the rate among its parameters either way."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
-        option_string: str | None = None,
-    ) -> None:
-        namespace.crsf_baud = values
-        namespace.set = [*(getattr(namespace, "set", None) or []), f"radio.baud={values}"]
-
-
-class Poses(Protocol):
-    """Where frames come from: the part of a ``Link`` that gives them."""
-
-    origin: str
-
-    def __enter__(self) -> Any: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-    def now(self) -> int: ...
-
-    def receive(self, timeout: float) -> tuple[int, Measurement] | None: ...
-
-    def fault(self) -> str | None: ...
+def _baud(text: str) -> str:
+    """Return ``--crsf-baud N`` as ``--set`` takes it: a bag carries the rate among its parameters either way."""
+    if text not in map(str, BAUDS):
+        raise argparse.ArgumentTypeError(f"choose from {', '.join(map(str, sorted(BAUDS)))}")
+    return f"radio.baud={text}"
 
 
 class CrsfLink:
-    """Setpoints out through a serial port, frames in from ``poses``; if these are simulated, setpoints there as well.
+    """Setpoints out through a serial port, frames in from ``poses``.
 
     Args:
         port: the device.
         poses: not yet open.
-        params: ``radio``, ``safety`` and ``vehicle``.
+        params: ``vehicle`` and ``pendulum``.
+        limits: ``radio`` and ``safety``.
+        mirror: is given each setpoint, too: a simulated vehicle that flies along.
     """
 
-    def __init__(self, port: str, poses: Poses, params: Params) -> None:
-        self.origin = poses.origin
-        self._port, self._poses, self._params = port, poses, params
+    name = "crsf"
+
+    def __init__(
+        self,
+        port: str,
+        poses: PoseSource,
+        params: Params,
+        limits: Limits,
+        mirror: Callable[[Setpoint], None] | None = None,
+    ) -> None:
+        self.origin, self.events = poses.origin, poses.events
+        self._port, self._poses, self._params, self._limits, self._mirror = port, poses, params, limits, mirror
+        self.pids: dict[str, int] = {}
 
     @staticmethod
-    def arguments(parser: argparse.ArgumentParser) -> None:
+    def arguments(parser: argparse._ArgumentGroup) -> None:
         parser.add_argument(
             "--crsf-port", metavar="DEVICE", help="serial port of the radio's transmitter module, e.g. /dev/ttyUSB0"
         )
         parser.add_argument(
             "--crsf-baud",
-            type=int,
-            choices=sorted(BAUDS),
-            action=_Baud,
-            help=f"its bits per second (default: the parameter radio.baud, {Params().radio.baud})",
+            type=_baud,
+            action="append",
+            dest="set",
+            default=argparse.SUPPRESS,
+            metavar="N",
+            help=f"its bits per second (default: the parameter radio.baud, {Radio().baud})",
         )
         parser.add_argument(
             "--poses",
@@ -101,31 +92,29 @@ class CrsfLink:
         )
 
     @classmethod
-    def from_options(cls, options: argparse.Namespace, scenario: Scenario) -> Self:
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Self:
         if not options.crsf_port:
             raise ValueError("--link crsf: name the serial port of the transmitter module with --crsf-port")
-        Encoder(scenario.params)  # whether the mapping makes sense
+        Encoder(scenario.params, limits)  # whether the mapping makes sense
         if problem := _problem(Path(options.crsf_port)):
             raise LinkError(problem)  # now, before anything is recorded
         if options.poses == "sim":
-            return cls(options.crsf_port, SimLink(scenario), scenario.params)
-        try:
-            from fiplib.flight.links.ros2 import Ros2Poses
-        except ImportError as error:
-            raise LinkError(f"--poses ros2: the ROS 2 link is not here ({error}); --poses sim does without") from error
-        return cls(options.crsf_port, Ros2Poses.from_options(options, scenario), scenario.params)
+            vehicle = SimulatedLink(scenario, limits)
+            return cls(options.crsf_port, vehicle, scenario.params, limits, vehicle.send)
+        return cls(options.crsf_port, Ros2Poses.from_options(options, scenario), scenario.params, limits)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(self._poses)
             try:
-                self._sender = Sender(functools.partial(CrsfSink, self._port, self._params), self._params)
+                open_sink = functools.partial(CrsfSink, self._port, self._params, self._limits)
+                self._sender = Sender(open_sink, self._params, self._limits)
             except SenderError as error:
                 raise LinkError(f"--link crsf: {error}") from error
             stack.enter_context(self._sender)
-            if hasattr(self._poses, "wait"):
-                self._poses.wait()  # ROS 2: for the first frame, or the reason why none comes
+            self._poses.wait()
             self._open = stack.pop_all()  # the commands end first, then the poses
+        self.pids = {**self._poses.pids, "radio": self._sender.pid}
         return self
 
     def __exit__(
@@ -135,13 +124,7 @@ class CrsfLink:
 
     @property
     def truth(self) -> NDArray | None:
-        """The true state, where the poses are simulated."""
-        return getattr(self._poses, "truth", None)
-
-    @property
-    def pids(self) -> dict[str, int | None]:
-        """Process ids: ``radio`` is the sender that owns the port, the others are those of the poses."""
-        return {**getattr(self._poses, "pids", {}), "radio": self._sender.pid}
+        return self._poses.truth
 
     def now(self) -> int:
         return self._poses.now()
@@ -151,8 +134,11 @@ class CrsfLink:
 
     def send(self, setpoint: Setpoint) -> None:
         self._sender.send(setpoint)
-        if isinstance(self._poses, SimLink):
-            self._poses.send(setpoint)
+        if self._mirror is not None:
+            self._mirror(setpoint)
+
+    def wait(self) -> None:
+        self._poses.wait()
 
     def fault(self) -> str | None:
         return self._sender.fault() or self._poses.fault()
@@ -163,15 +149,16 @@ class CrsfSink:
 
     Args:
         port: the device.
-        params: ``radio`` and the bounds.
+        params: ``vehicle``, for the bounds.
+        limits: ``radio``, and ``safety`` for the bounds.
 
     Raises:
         LinkError: the port cannot be opened; the message says why.
     """
 
-    def __init__(self, port: str, params: Params) -> None:
-        self._name, self._encoder = port, Encoder(params)
-        self._port = _open(port, params.radio.baud)
+    def __init__(self, port: str, params: Params, limits: Limits) -> None:
+        self._name, self._encoder = port, Encoder(params, limits)
+        self._port = _open(port, limits.radio.baud)
         self._rest = b""
         self._taken = time.monotonic_ns()
 
@@ -233,7 +220,7 @@ def _open(port: str, baud: int) -> Any:
     try:
         return serial.Serial(port, baud, timeout=0, exclusive=True)
     except (OSError, ValueError) as error:
-        busy = getattr(error, "errno", None) in (errno.EAGAIN, errno.EBUSY)
+        busy = isinstance(error, OSError) and error.errno in (errno.EAGAIN, errno.EBUSY)
         raise LinkError(f"cannot open {port}: {'another program uses it' if busy else _reason(error)}") from error
 
 
@@ -258,5 +245,4 @@ def _those(ports: list[str]) -> str:
 
 
 def _reason(error: Exception) -> str:
-    code = getattr(error, "errno", None)
-    return os.strerror(code) if code else str(error)
+    return os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)

@@ -6,7 +6,7 @@ are put together by their stamps (``Pairing``). Commands leave from the sender's
 (``Ros2Sink``), as ``mavros_msgs/AttitudeTarget``, or as ``geometry_msgs/TwistStamped`` where MAVROS is not installed.
 
 rclpy is imported on entering only. Flown over real DDS with a simulated vehicle, never with hardware; the
-AttitudeTarget topic was never held against a running MAVROS. See docs/ros2.md.
+AttitudeTarget topic was never tried with a running MAVROS. See docs/ros2.md.
 """
 
 import argparse
@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.bags.messages import IGNORE_ATTITUDE
+from fiplib.flight.limits import Limits
 from fiplib.flight.links import LinkError
 from fiplib.flight.sender import Sender, SenderError
 from fiplib.flight.setpoint import Setpoint
-from fiplib.params import NANO, STATE_NAMES
-from fiplib.recording import ROLES, Measurement
+from fiplib.params import NANO, STATE_NAMES, Params
+from fiplib.recording import ROLES, Event, Measurement
 from fiplib.simulate import Scenario
 
 PRESETS = {
@@ -100,7 +101,7 @@ def ros() -> Messages:
     except ImportError as error:
         raise LinkError(
             f"--link ros2: ROS 2 is not there ({error}); run 'source /opt/ros/<distribution>/setup.bash' first, and "
-            "start fly.py with the Python version that ROS was built for (3.11 or later: ROS 2 Jazzy has 3.12)"
+            "start it with the Python version that ROS was built for (3.11 or later: ROS 2 Jazzy has 3.12)"
         ) from error
 
 
@@ -174,6 +175,9 @@ class Ros2Poses:
 
     def __init__(self, topics: tuple[str, str], tolerance: float, origin: str, patience: float) -> None:
         self.topics, self.origin, self._patience = topics, origin, patience
+        self.truth: NDArray | None = None  # not known
+        self.events: deque[Event] = deque()
+        self.pids: dict[str, int] = {}
         self._tolerance = tolerance
         self._pairing = Pairing(round(tolerance * NANO))
         self._frames: deque[tuple[int, Measurement]] = deque()
@@ -183,7 +187,7 @@ class Ros2Poses:
         self._node: Node | None = None
 
     @staticmethod
-    def arguments(parser: argparse.ArgumentParser) -> None:
+    def arguments(parser: argparse._ArgumentGroup) -> None:
         """Add the options of the poses, for every link that takes them from ROS 2."""
         parser.add_argument(
             "--ros2-origin",
@@ -342,12 +346,15 @@ class Ros2Poses:
 class Ros2Link:
     """Poses from ROS 2, commands to it; state and length are published beside them."""
 
-    def __init__(self, poses: Ros2Poses, kind: str | None, topic: str, scenario: Scenario) -> None:
-        self.poses, self._kind, self._topic, self._scenario = poses, kind, topic, scenario
-        self.origin = poses.origin
+    name = "ros2"
+
+    def __init__(self, poses: Ros2Poses, kind: str | None, topic: str, params: Params, limits: Limits) -> None:
+        self.poses, self._kind, self._topic, self._params, self._limits = poses, kind, topic, params, limits
+        self.origin, self.truth, self.events = poses.origin, poses.truth, poses.events
+        self.pids: dict[str, int] = {}
 
     @staticmethod
-    def arguments(parser: argparse.ArgumentParser) -> None:
+    def arguments(parser: argparse._ArgumentGroup) -> None:
         Ros2Poses.arguments(parser)
         parser.add_argument(
             "--ros2-command",
@@ -363,15 +370,15 @@ class Ros2Link:
         )
 
     @classmethod
-    def from_options(cls, options: argparse.Namespace, scenario: Scenario) -> Self:
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Self:
         poses = Ros2Poses.from_options(options, scenario)
-        return cls(poses, options.ros2_command, options.ros2_command_topic, scenario)
+        return cls(poses, options.ros2_command, options.ros2_command_topic, scenario.params, limits)
 
     def __enter__(self) -> Self:
         kind = self._kind or ("attitude" if importlib.util.find_spec("mavros_msgs") else "twist")
         with_poses = self.poses.__enter__()
         try:
-            self._sender = Sender(functools.partial(command_sink, kind, self._topic), self._scenario.params)
+            self._sender = Sender(functools.partial(command_sink, kind, self._topic), self._params, self._limits)
         except SenderError as error:
             with_poses.__exit__(None, None, None)
             raise LinkError(f"--link ros2: {error}") from error
@@ -387,6 +394,7 @@ class Ros2Link:
         except BaseException:
             self.__exit__(None, None, None)
             raise
+        self.pids = {"sender": self._sender.pid}
         return self
 
     def __exit__(
@@ -396,16 +404,14 @@ class Ros2Link:
         SPARE.clear()
         self.poses.__exit__(kind, error, trace)
 
-    @property
-    def pids(self) -> dict[str, int | None]:
-        """Process id of the ``sender``."""
-        return {"sender": self._sender.pid}
-
     def now(self) -> int:
         return self.poses.now()
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
         return self.poses.receive(timeout)
+
+    def wait(self) -> None:
+        self.poses.wait(self._topic)
 
     def send(self, setpoint: Setpoint) -> None:
         self._sender.send(setpoint)

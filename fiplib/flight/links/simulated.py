@@ -1,98 +1,67 @@
 """``--link sim``: the simulated vehicle, in virtual time or against the wall clock.
 
 ``VirtualLink`` moves the vehicle by one frame whenever a frame is asked for: as fast as possible, and the same every
-time. ``SimLink`` gives the vehicle a process of its own that runs in real time and talks datagrams on the loopback
-interface, as a real one talks radio: commands come from the sender's process, frames go to the pilot's. In both the
-vehicle is held in place until it is first commanded with armed motors.
+time. ``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the
+loopback interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
 """
 
 import argparse
 import functools
 import gc
-import math
 import multiprocessing
 import select
 import socket
 import struct
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
+from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.flight.limits import Limits
 from fiplib.flight.links import Link, LinkError
-from fiplib.flight.sender import Sender, SenderError, decode, encode, ignore_the_terminal, urgent
+from fiplib.flight.sender import START_TIME, Sender, SenderError, Sink, decode, encode, ignore_the_terminal, urgent
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO
-from fiplib.recording import EPOCH, Measurement
-from fiplib.simulate import Mocap, Plant, Scenario
+from fiplib.recording import EPOCH, Event, Measurement
+from fiplib.simulate import Push, Scenario, SimulatedVehicle
 
-FRAME = struct.Struct("<q25d")
-"""A frame on its way to the pilot: stamp, the 14 numbers of two poses, the 11 of the true state."""
-GROUND = 0.05
-"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
-NOISE_FRAMES = 240
-"""Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame."""
-START_TIME = 60.0
-"""A process on a busy machine may take that long to import NumPy and CasADi, s."""
+FRAME = struct.Struct("<q25d3d")
+"""A frame on its way to the pilot: stamp, the 14 numbers of two poses, the 11 of the true state; of a push that has
+begun since the frame before, impulse (2) and duration, else zeros."""
+
+FrameTap = Callable[[Measurement, NDArray], None]
+"""Called in the vehicle's process with each frame and the true state (11,) at its exposure; must pickle."""
 
 
-class SimulatedVehicle:
-    """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first armed."""
+class HeldVehicle(SimulatedVehicle):
+    """The simulated vehicle, held in place until it is first commanded with armed motors."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._params, self._rate = scenario.params, scenario.params.piloting.mocap_rate
-        self._rng = np.random.default_rng(scenario.seed)
-        start = scenario.reference.at(np.zeros(1))[0]
-        lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
-        self.plant = Plant(self._params, (start[0], start[2], scenario.reference.height), lean)
-        self._pushes = deque(scenario.pushes)
-        self._frames = 0
-        self.flown: int | None = None
-        """Frames since it was first armed; ``None`` before."""
-
-    def measure(self, stamp: int) -> Measurement:
-        """The frame exposed now."""
-        index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
-        if index == 0:
-            self._mocap = Mocap(self._params, NOISE_FRAMES, self._rng)
-        return self._mocap.frame(index, stamp, self.plant.x)
-
-    def command(self, setpoint: Setpoint, at: int | None = None) -> None:
-        """Take a setpoint, to act after the usual delay or at a substep of the plant."""
-        if setpoint.armed and self.flown is None:
-            self.flown = 0
-        if self.flown is not None:
-            self.plant.command(setpoint.body_rate, setpoint.thrust * self._params.vehicle.max_thrust, at)
-
-    def advance(self) -> str | None:
-        """One frame further; the words for an event, if something happens."""
-        if self.flown is None or self.plant.x[2] < GROUND:
-            return None
-        seconds, force, said = self.flown / self._rate, np.zeros(3), None
-        if self._pushes and seconds >= self._pushes[0].start:
-            push = self._pushes[0]
-            if seconds < push.start + 1 / self._rate:
-                said = f"push of {1e3 * math.hypot(*push.impulse):g} mN s on the rod's COM"
-            force[:2] = np.array(push.impulse) / push.duration
-            if seconds >= push.start + push.duration - 1 / self._rate:
-                self._pushes.popleft()
-        self.plant.advance(force)
-        self.flown += 1
-        return said
+    def command(self, command: Setpoint, at: int | None = None) -> None:
+        if command.armed or self.flown is not None:
+            super().command(command, at)
 
 
 class VirtualLink:
-    """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last."""
+    """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last.
 
-    origin = "simulated"
+    Args:
+        scenario: the flight.
+        vehicle: another vehicle than that of the scenario.
+    """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.vehicle = SimulatedVehicle(scenario)
+    name, origin = "sim", "simulated"
+
+    def __init__(self, scenario: Scenario, vehicle: HeldVehicle | None = None) -> None:
+        self.vehicle = vehicle or HeldVehicle(scenario)
         self.truth: NDArray | None = None
+        self.events: deque[Event] = deque()
+        self.pids: dict[str, int] = {}
         self._rate = scenario.params.piloting.mocap_rate
         self._latency = round(scenario.params.simulation.mocap_latency * NANO)
         self._index = -1
@@ -110,13 +79,16 @@ class VirtualLink:
         return self._now
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        if self._index >= 0:
-            self.vehicle.advance()
+        if self._index >= 0 and (push := self.vehicle.advance()):
+            self.events.append(push.event(self._now))
         self._index += 1
         stamp = EPOCH + round(self._index * NANO / self._rate)
         self._now = stamp + self._latency
         self.truth = self.vehicle.plant.truth()
         return self._now, self.vehicle.measure(stamp)
+
+    def wait(self) -> None:
+        pass
 
     def send(self, setpoint: Setpoint) -> None:
         self.vehicle.command(setpoint)
@@ -125,18 +97,38 @@ class VirtualLink:
         return None
 
 
-class SimLink:
-    """The simulated vehicle in real time, in its own process."""
+class SimulatedLink:
+    """The simulated vehicle in real time, in its own process.
 
-    origin = "simulated"
+    Args:
+        scenario: the flight.
+        limits: those of the command sender.
+        sink: makes the sender's way out to the vehicle's address, in the sender's process; must pickle.
+        tap: called in the vehicle's process with each frame.
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+    Attributes:
+        frames: the socket on which frames arrive, once entered.
+        offset: what the link's clock is ahead of ``time.monotonic_ns``, ns.
+    """
+
+    name, origin = "sim", "simulated"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        limits: Limits,
+        sink: "Callable[[tuple[str, int]], Sink] | None" = None,
+        tap: FrameTap | None = None,
+    ) -> None:
+        self.scenario, self._limits = scenario, limits
+        self._open_sink, self._tap = sink or LoopbackSink, tap
         self.truth: NDArray | None = None
-        self._offset = time.time_ns() - time.monotonic_ns()
+        self.events: deque[Event] = deque()
+        self.offset = time.time_ns() - time.monotonic_ns()
+        self.pids: dict[str, int] = {}
 
     @staticmethod
-    def arguments(parser: argparse.ArgumentParser) -> None:
+    def arguments(parser: argparse._ArgumentGroup) -> None:
         parser.add_argument(
             "--real-time",
             action="store_true",
@@ -147,19 +139,19 @@ class SimLink:
         )
 
     @classmethod
-    def from_options(cls, options: argparse.Namespace, scenario: Scenario) -> Link:
-        return cls(scenario) if options.real_time else VirtualLink(scenario)
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
+        return cls(scenario, limits) if options.real_time else VirtualLink(scenario)
 
     def __enter__(self) -> Self:
-        self._frames, commands = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-        for one in (self._frames, commands):
+        self.frames, commands = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        for one in (self.frames, commands):
             one.bind(("127.0.0.1", 0))
-        self._frames.setblocking(False)
+        self.frames.setblocking(False)
         context = multiprocessing.get_context("spawn")
         ready, tell = context.Pipe(duplex=False)
         self._process = context.Process(
-            target=_fly_vehicle,
-            args=(self.scenario, commands, self._frames.getsockname(), self._offset, tell),
+            target=fly_vehicle,
+            args=(self.scenario, commands, self.frames.getsockname(), self.offset, tell, self._tap),
             name="fip-vehicle",
             daemon=True,
         )
@@ -169,13 +161,15 @@ class SimLink:
         commands.close()
         try:
             # both processes start at once
-            self._sender = Sender(functools.partial(LoopbackSink, address), self.scenario.params)
+            self._sender = Sender(functools.partial(self._open_sink, address), self.scenario.params, self._limits)
             if not ready.poll(START_TIME):
                 raise LinkError(f"the simulated vehicle has not started within {START_TIME:g} s")
             ready.recv()
         except (EOFError, OSError, SenderError, LinkError) as error:
             self._process.kill()
             raise LinkError(f"--link sim: {error or 'the simulated vehicle ended while starting'}") from error
+        assert self._process.pid is not None
+        self.pids = {"vehicle": self._process.pid, "sender": self._sender.pid}
         return self
 
     def __exit__(
@@ -184,27 +178,26 @@ class SimLink:
         self._sender.close()
         self._process.kill()
         self._process.join()
-        self._frames.close()
-
-    @property
-    def pids(self) -> dict[str, int | None]:
-        """Process ids of ``vehicle`` and ``sender``."""
-        return {"vehicle": self._process.pid, "sender": self._sender.pid}
+        self.frames.close()
 
     def now(self) -> int:
-        return time.monotonic_ns() + self._offset
+        return time.monotonic_ns() + self.offset
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        if not select.select([self._frames], [], [], max(0.0, timeout))[0]:
+        if not select.select([self.frames], [], [], max(0.0, timeout))[0]:
             return None
         try:
-            data = self._frames.recv(65536)
-            stamp, *numbers = FRAME.unpack(data)
+            stamp, *numbers = FRAME.unpack(self.frames.recv(65536))
         except (OSError, struct.error):
             return None
-        values = np.array(numbers)
-        self.truth = values[14:]
-        return self.now(), Measurement(stamp, values[:3], values[3:7], values[7:10], values[10:14])
+        now, values = self.now(), np.array(numbers)
+        self.truth = values[14:25]
+        if values[27]:
+            self.events.append(Push(0.0, (numbers[25], numbers[26]), numbers[27]).event(now))
+        return now, Measurement(stamp, values[:3], values[3:7], values[7:10], values[10:14])
+
+    def wait(self) -> None:
+        pass  # the vehicle's process has said that it is ready
 
     def send(self, setpoint: Setpoint) -> None:
         self._sender.send(setpoint)
@@ -230,25 +223,27 @@ class LoopbackSink:
         self._socket.close()
 
 
-def _fly_vehicle(
+def fly_vehicle(
     scenario: Scenario,
     commands: socket.socket,
     frames: tuple[str, int],
     offset: int,
-    tell: "multiprocessing.connection.Connection",
+    tell: Connection,
+    tap: FrameTap | None,
 ) -> None:
     """The vehicle's process: a frame is exposed at every period, and delivered after motion capture's latency."""
     ignore_the_terminal()
     urgent(2)
     commands.setblocking(False)
     parent = multiprocessing.parent_process()
-    vehicle = SimulatedVehicle(scenario)
+    vehicle = HeldVehicle(scenario)
     rate, simulation = scenario.params.piloting.mocap_rate, scenario.params.simulation
     latency = round(simulation.mocap_latency * NANO)
     gc.freeze()
     gc.disable()  # a collection takes longer than a tick; nothing here makes cycles
     tell.send("ready")
     start, held, index = time.monotonic_ns(), 0, 0
+    push: Push | None = None
     with suppress(BrokenPipeError):
         while parent is None or index % 240 or parent.is_alive():
             exposure = start + round(index * NANO / rate)
@@ -263,8 +258,11 @@ def _fly_vehicle(
                     since = (time.monotonic_ns() - held) / NANO + simulation.rate_delay
                     vehicle.command(setpoint, round(since * simulation.plant_rate))
             truth, frame = vehicle.plant.truth(), vehicle.measure(exposure + offset)
-            packet = FRAME.pack(frame.stamp, *np.concatenate(frame[1:]), *truth)
+            pushed = (*push.impulse, push.duration) if push else (0.0, 0.0, 0.0)
+            packet = FRAME.pack(frame.stamp, *np.concatenate(frame[1:]), *truth, *pushed)
             with suppress(OSError):
                 commands.sendto(packet, frames)
-            vehicle.advance()
+            if tap is not None:
+                tap(frame, truth)
+            push = vehicle.advance()
             index += 1

@@ -1,23 +1,35 @@
-"""Faults of motion capture to inject into a simulated flight: each turns true frames into what is delivered instead.
+"""Faults to inject into a simulated flight: of motion capture, of the solver, of the estimates.
 
-A fault is called with every frame, in order, and with the time in s since take-off; it returns the frames that arrive
-at that moment: none, one or several. No clock and no I/O; randomness comes from a generator that is passed.
+A fault of motion capture is called with every frame, in order, and with the time in s since take-off; it returns the
+frames that arrive at that moment: none, one or several. A fault of the solver stands in its place, one of the estimates
+behind the estimator. No clock and no I/O; randomness comes from a generator that is passed.
 """
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from fiplib.estimators.base import Estimate
+from fiplib.mpc import Solution, Status
 from fiplib.params import NANO
+from fiplib.pilot import Tick
 from fiplib.recording import Measurement
 
 FrameFault = Callable[[float, Measurement], list[Measurement]]
 """(s since take-off, the true frame) -> the frames that arrive now."""
 Change = Callable[[Measurement], Measurement]
 """What becomes of one frame."""
+Solve = Callable[[Tick], Solution]
+Elapse = Callable[[float], None]
+SolverFault = Callable[[Solve, Tick, Elapse], Solution]
+"""(the solver, the tick, lets so many s pass) -> what is answered instead."""
+EstimateFault = Callable[[Estimate, int], Estimate | None]
+"""(an estimate, how many have been changed, with this one) -> what is delivered instead."""
 
 
-def lost(start: float, seconds: float) -> FrameFault:
+def dropped(start: float, seconds: float) -> FrameFault:
     """No frame from ``start`` on for so many seconds."""
     return lambda at, frame: [] if start <= at < start + seconds else [frame]
 
@@ -86,10 +98,10 @@ def changed(change: Change, start: float, seconds: float, every: int = 1) -> Fra
     return fault
 
 
-def moved(body: str, offset: tuple[float, float, float]) -> Change:
+def moved(body: str, x: float = 0.0, y: float = 0.0) -> Change:
     """``vehicle`` or ``pendulum`` displaced, m."""
     field = f"{body}_position"
-    return lambda frame: frame._replace(**{field: getattr(frame, field) + np.array(offset)})
+    return lambda frame: frame._replace(**{field: getattr(frame, field) + np.array((x, y, 0.0))})
 
 
 def swapped(frame: Measurement) -> Measurement:
@@ -138,6 +150,11 @@ def frozen(stamps: bool = False) -> Change:
     return change
 
 
+def stamped(stamp: int) -> Change:
+    """One stamp for all frames, ns."""
+    return lambda frame: frame._replace(stamp=stamp)
+
+
 def stepped(seconds: float) -> Change:
     """Stamps of a clock that has stepped."""
     return lambda frame: frame._replace(stamp=frame.stamp + round(seconds * NANO))
@@ -151,3 +168,35 @@ def jittered(seconds: float, rng: np.random.Generator) -> Change:
 def coarse(seconds: float) -> Change:
     """Stamps cut to whole multiples of so many seconds: several frames share one."""
     return lambda frame: frame._replace(stamp=frame.stamp // round(seconds * NANO) * round(seconds * NANO))
+
+
+def raising(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
+    """A solver that raises."""
+    raise RuntimeError("singular matrix")
+
+
+def unsolved(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
+    """A solver that does not converge."""
+    return replace(solve(tick), status=Status.FAILED)
+
+
+def numberless(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
+    """A solver that answers NaN."""
+    solution = solve(tick)
+    return replace(solution, inputs=solution.inputs * math.nan)
+
+
+def taking(seconds: float) -> SolverFault:
+    """A solver that takes so long."""
+
+    def slow(solve: Solve, tick: Tick, elapse: Elapse) -> Solution:
+        solution = solve(tick)
+        elapse(seconds)
+        return solution
+
+    return slow
+
+
+def estimated(*lengths: float) -> EstimateFault:
+    """Estimates of these lengths in turn."""
+    return lambda answer, count: Estimate(lengths[count % len(lengths)], answer.standard_deviation)

@@ -9,8 +9,8 @@ from types import FrameType, TracebackType
 from typing import Self
 
 
-class Operator:
-    """The operator's will: signals and, where asked for, the Enter key. A context manager.
+class OperatorInput:
+    """Listens to the operator: signals and, where asked for, the Enter key. A context manager.
 
     The first Ctrl-C, SIGTERM or lost terminal asks for a landing, a second one for motors off at once.
 
@@ -28,9 +28,8 @@ class Operator:
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            if hasattr(signal, name):
-                number = getattr(signal, name)
+        for number in signal.Signals:  # SIGHUP is not everywhere
+            if number.name in ("SIGINT", "SIGTERM", "SIGHUP"):
                 self._before[number] = signal.signal(number, self._signalled)
         return self
 
@@ -49,7 +48,7 @@ class Operator:
         }.get(signal.Signals(number), "terminal lost (SIGHUP)")
 
     def look(self, ready: bool) -> None:
-        """See whether Enter was pressed: once to arm, once more to land. Before the vehicle is ready it counts not."""
+        """Look whether Enter was pressed: once to arm (not counted before the vehicle is ready), once more to land."""
         if not self._keys:
             return
         with suppress(OSError, ValueError):

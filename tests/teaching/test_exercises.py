@@ -1,4 +1,4 @@
-"""The exercises of the notebooks: graders refuse stubs and typical wrong answers, in words, and pass the solutions."""
+"""The exercises of the notebooks refuse stubs and typical wrong answers, in words, and accept the solutions."""
 
 import inspect
 import re
@@ -7,21 +7,34 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import nbformat
 import numpy as np
 import pytest
-from IPython.core.interactiveshell import InteractiveShell
 
 from fiplib.params import GRAVITY
-from fiplib.teaching.exercises import grading
+from fiplib.teaching.exercises import bags, closed_loop, ga, kalman, linearisation, mpc
 from fiplib.teaching.exercises.grading import Exercise, NotYet
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
-TEACHING = ["02-linearisation", "03-mpc", "04-kalman-filter", "05-genetic-algorithm", "06-closed-loop"]
-TEACHING += ["07-explore-a-bag"]
-GRADERS = sorted(name for name, value in vars(grading).items() if isinstance(value, Exercise))
+TEACHING = {
+    "02-linearisation": linearisation,
+    "03-mpc": mpc,
+    "04-kalman-filter": kalman,
+    "05-genetic-algorithm": ga,
+    "06-closed-loop": closed_loop,
+    "07-explore-a-bag": bags,
+}
+
+
+def exercises_of(module: ModuleType) -> dict[str, Exercise]:
+    return {name: value for name, value in vars(module).items() if isinstance(value, Exercise)}
+
+
+HOME = {name: notebook for notebook, module in TEACHING.items() for name in exercises_of(module)}
+EXERCISES = {name: exercise for module in TEACHING.values() for name, exercise in exercises_of(module).items()}
 
 
 @cache
@@ -54,39 +67,31 @@ def solutions(notebook: str) -> dict[str, Callable]:
     return {name: value for name, value in names.items() if inspect.isfunction(value)}
 
 
-@cache
-def asked() -> dict[str, tuple[str, str]]:
-    """By grader, the notebook that calls it and the function that it is given."""
-    calls = {}
-    for notebook in TEACHING:
-        for source in tagged(notebook, "grader"):
-            grader, function = re.fullmatch(r"graders\.check\(graders\.(grade_\d\d_\d), (\w+)\)", source).groups()
-            assert grader not in calls, f"{grader} is called twice"
-            calls[grader] = notebook, function
-    return calls
-
-
-def words(grader: str, answer: Callable) -> str:
-    """What the grader says of a wrong answer."""
+def words(name: str, answer: Callable) -> str:
+    """The sentence with which the exercise refuses a wrong answer."""
     with pytest.raises(NotYet) as refusal:
-        getattr(grading, grader)(answer)
+        EXERCISES[name].grade(answer)
     return str(refusal.value)
 
 
-def test_every_teaching_notebook_asks_at_least_three_exercises_and_every_grader_is_asked_once() -> None:
-    assert sorted(asked()) == GRADERS
-    for notebook in TEACHING:
-        names = [grader for grader, (home, _) in asked().items() if home == notebook]
-        assert names == [f"grade_{notebook[:2]}_{k + 1}" for k in range(len(names))]
-        assert len(names) >= 3
-        assert f"](solutions/{notebook}.py)" in section(notebook)[-1].source
+@pytest.mark.parametrize("notebook", TEACHING)
+def test_a_notebook_asks_each_exercise_of_its_module_once_and_at_least_three(notebook: str) -> None:
+    names = list(exercises_of(TEACHING[notebook]))
+    assert len(names) >= 3
+    assert tagged(notebook, "grader") == [f"exercises.{name}.check({name})" for name in names]
+    module = TEACHING[notebook].__name__.rpartition(".")[2]
+    imports = [
+        f"from fiplib.teaching.exercises import {module} as exercises" in cell.source for cell in section(notebook)
+    ]
+    assert imports.count(True) == 1
+    assert f"](solutions/{notebook}.py)" in section(notebook)[-1].source
 
 
 @pytest.mark.parametrize("notebook", TEACHING)
 def test_stub_and_solution_are_the_same_function_but_for_what_is_to_be_filled_in(notebook: str) -> None:
-    graded = [function for home, function in asked().values() if home == notebook]
-    assert list(stubs(notebook)) == graded
-    assert list(solutions(notebook)) == graded
+    asked = list(exercises_of(TEACHING[notebook]))
+    assert list(stubs(notebook)) == asked
+    assert list(solutions(notebook)) == asked
     for name, stub in stubs(notebook).items():
         assert inspect.signature(stub) == inspect.signature(solutions(notebook)[name])
 
@@ -97,32 +102,29 @@ def test_solutions_fill_in_ten_lines_at_most_as_the_exercises_promise(notebook: 
         assert len(inspect.getsource(solution).strip().splitlines()) <= 11, name  # ten and the def
 
 
-@pytest.mark.parametrize("grader", GRADERS)
+@pytest.mark.parametrize("name", EXERCISES)
 def test_the_stub_as_it_stands_in_the_notebook_is_not_right_and_does_not_stop_a_run_of_all_cells(
-    grader: str, capsys: pytest.CaptureFixture
+    name: str, capsys: pytest.CaptureFixture
 ) -> None:
-    notebook, function = asked()[grader]
-    said = words(grader, stubs(notebook)[function])
-    grading.check(getattr(grading, grader), stubs(notebook)[function])
-    assert capsys.readouterr().out == f"not yet: {said}\n"
+    stub = stubs(HOME[name])[name]
+    EXERCISES[name].check(stub)
+    assert capsys.readouterr().out == f"not yet: {words(name, stub)}\n"
 
 
-@pytest.mark.parametrize("grader", GRADERS)
-def test_the_solution_is_praised(grader: str, capsys: pytest.CaptureFixture) -> None:
-    notebook, function = asked()[grader]
-    getattr(grading, grader)(solutions(notebook)[function])
-    assert capsys.readouterr().out == f"right: {getattr(grading, grader).praise}\n"
+@pytest.mark.parametrize("name", EXERCISES)
+def test_the_solution_is_praised(name: str, capsys: pytest.CaptureFixture) -> None:
+    EXERCISES[name].check(solutions(HOME[name])[name])
+    assert capsys.readouterr().out == f"right: {EXERCISES[name].praise}\n"
 
 
-@pytest.mark.parametrize("grader", GRADERS)
-def test_every_mistake_that_a_grader_knows_is_told_in_its_own_words(grader: str) -> None:
-    exercise = getattr(grading, grader)
-    assert len(exercise.mistakes) >= 2
-    for said, mistake in exercise.mistakes.items():
-        assert words(grader, mistake) == said
+@pytest.mark.parametrize("name", EXERCISES)
+def test_every_listed_mistake_is_refused_with_its_own_sentence(name: str) -> None:
+    assert len(EXERCISES[name].mistakes) >= 2
+    for sentence, mistake in EXERCISES[name].mistakes.items():
+        assert words(name, mistake) == sentence
 
 
-# Wrong answers as students write them, with a part of what should be said
+# Wrong answers as students write them, with a part of the sentence that should refuse them
 
 
 def elementwise_controllable(first, second, g=GRAVITY):
@@ -187,56 +189,59 @@ def all_coordinates(stamp, position):
 
 
 WRONG: dict[str, list[tuple[Callable, str]]] = {
-    "grade_02_1": [
+    "growth_rate": [
         (lambda l, k2: np.sqrt(2 * GRAVITY / l), "the rod's inertia is missing"),
         (lambda l, k2: np.sqrt(GRAVITY / l / (1 + 4 * k2)), "the centre of mass lies at l/2"),
         (lambda l, k2: np.sqrt(-2 * GRAVITY / l / (1 + 4 * k2)), "a rod that leans falls further"),
         (lambda l, k2: 2 * GRAVITY / l / (1 + 4 * k2), "take the root"),
     ],
-    "grade_02_2": [(without_lambda, "lambda is missing"), (falling_back, "a rod that leans falls further")],
-    "grade_02_3": [
+    "axis_matrix": [(without_lambda, "lambda is missing"), (falling_back, "a rod that leans falls further")],
+    "steady_lean": [
         (lambda r, t, l: r * (w := 2 * np.pi / t) ** 2 / (w**2 + 2 * GRAVITY / l), "leans inwards"),
         (lambda r, t, l: -r / t**2 / (1 / t**2 + 2 * GRAVITY / l), "2 pi / period"),
         (lambda r, t, l: -r * (2 * np.pi / t) ** 2 * l / 2 / GRAVITY, "the slow limit"),
         (lambda r, t, l: r * (w := 2 * np.pi / t) ** 2 / (2 * GRAVITY / l - w**2), "the sign of g/l is wrong"),
     ],
-    "grade_02_4": [(lambda first, second: 7, "rods of equal length"), (elementwise_controllable, "matrix_power")],
-    "grade_03_1": [(riccati_with_plus, "sign of the last term"), (riccati_without_stage, "add Q")],
-    "grade_03_2": [
+    "controllable_states": [
+        (lambda first, second: 7, "rods of equal length"),
+        (elementwise_controllable, "matrix_power"),
+    ],
+    "riccati_step": [(riccati_with_plus, "sign of the last term"), (riccati_without_stage, "add Q")],
+    "growths": [
         (lambda a, b, k, n: (np.linalg.norm(a**n, 2), np.linalg.norm((a - b @ k) ** n, 2)), "matrix_power"),
         (
             lambda a, b, k, n: tuple(np.linalg.svd(np.linalg.matrix_power(m, n))[1][0] for m in (a, a + b @ k)),
             "sign of the feedback",
         ),
     ],
-    "grade_03_3": [(newest_first, "the oldest first"), (lambda a, b, x, sent: x, "the state as measured")],
-    "grade_04_1": [
+    "state_when_it_acts": [(newest_first, "the oldest first"), (lambda a, b, x, sent: x, "the state as measured")],
+    "predict_covariance": [
         (lambda j, p, q, step: j @ p @ j.T + q, "the printed form"),
         (lambda j, p, q, step: (np.eye(4) + j * step) @ p @ (np.eye(4) + j * step).T, "Q_e is missing"),
     ],
-    "grade_04_2": [
+    "normalised_innovations": [
         (lambda y, s: np.linalg.norm(y, axis=1) ** 2, "nothing is normalised"),
         (lambda y, s: [np.sum(row**2 / np.diag(c)) for row, c in zip(y, s, strict=True)], "only the diagonal"),
     ],
-    "grade_04_3": [
+    "log_likelihood": [
         (likelihood_without_determinant, "log det S is missing"),
-        (lambda y, s: -grading.grade_04_3.truth(y, s), "the sign is wrong"),
+        (lambda y, s: -EXERCISES["log_likelihood"].truth(y, s), "the sign is wrong"),
     ],
-    "grade_05_1": [
+    "decode": [
         (least_significant_first, "you read backwards"),
         (lambda bits, low, step: step * (bits @ 2 ** np.arange(14, -1, -1)), "l_min is missing"),
     ],
-    "grade_05_2": [
+    "roulette_probabilities": [
         (lambda f: np.where(np.isfinite(f), f - f.min(), 0) / (f - f.min())[np.isfinite(f)].sum(), "favours the worst"),
         (lambda f: (f.max() - f) / np.sum(f.max() - f), "the worst of the finite ones"),
         (lambda f: (1 / f) / sum(1 / f), "1 / fitness is no weight"),
     ],
-    "grade_05_3": [
+    "diversity": [
         (with_itself, "compared with themselves"),
-        (lambda bits: grading.grade_05_3.truth(bits) / 15, "the share of the bits"),
+        (lambda bits: EXERCISES["diversity"].truth(bits) / 15, "the share of the bits"),
     ],
-    "grade_06_1": [(first_inside, "swings through"), (one_sided, "the other side")],
-    "grade_06_2": [
+    "settling_time": [(first_inside, "swings through"), (one_sided, "the other side")],
+    "fuse": [
         (
             lambda l1, s1, l2, s2, w: ((l1 * s2**2 + l2 * s1**2) / (s1**2 + s2**2), s1 * s2 / np.hypot(s1, s2)),
             "counted twice",
@@ -249,21 +254,21 @@ WRONG: dict[str, list[tuple[Callable, str]]] = {
             "1 / deviation^2",
         ),
     ],
-    "grade_06_3": [
+    "cautious_length": [
         (lambda length, deviation, caution: length + caution * deviation, "the wrong side"),
         (lambda length, deviation, caution: length - caution * deviation, "may fall below zero"),
         (lambda length, deviation, caution: 1 / (1 / length + caution * deviation), "deviation / length^2"),
     ],
-    "grade_07_1": [
+    "velocities": [
         (lambda t, p: np.diff(p, axis=0) / np.diff(t)[:, None], "nanoseconds"),
         (lambda t, p: np.diff(p, axis=0) / np.mean(np.diff(t / 1e9)), "not by the mean"),
         (lambda t, p: np.diff(p, axis=0) * 240, "240 Hz"),
     ],
-    "grade_07_2": [
+    "length_from_lean": [
         (lambda d, tilt: np.linalg.lstsq(tilt[:, None], d)[0][0], "half the length"),
         (lambda d, tilt: 2 * np.mean(d / tilt), "mean of ratios"),
     ],
-    "grade_07_3": [
+    "fresh": [
         (lambda t, p: np.append(True, np.diff(t) > 0), "a frozen tracker"),
         (all_coordinates, "by chance"),
         (lambda t, p: np.append(True, (p[1:] != p[:-1]).any(axis=1)), "a frame sent again"),
@@ -271,11 +276,11 @@ WRONG: dict[str, list[tuple[Callable, str]]] = {
 }
 
 
-@pytest.mark.parametrize("grader", GRADERS)
-def test_wrong_answers_are_told_what_is_wrong_with_them(grader: str) -> None:
-    assert len(WRONG[grader]) >= 2
-    for answer, expected in WRONG[grader]:
-        assert expected in words(grader, answer)
+@pytest.mark.parametrize("name", EXERCISES)
+def test_a_wrong_answer_is_refused_with_its_mistake(name: str) -> None:
+    assert len(WRONG[name]) >= 2
+    for answer, expected in WRONG[name]:
+        assert expected in words(name, answer)
 
 
 @pytest.mark.parametrize(
@@ -291,33 +296,24 @@ def test_wrong_answers_are_told_what_is_wrong_with_them(grader: str) -> None:
         (4.43, "not callable"),
     ],
 )
-def test_an_answer_that_is_no_answer_is_told_so_and_any_other_gets_the_hint(answer: Any, expected: str) -> None:
-    exercise = replace(grading.grade_02_1, mistakes={})  # among its mistakes is a root of a negative number, nan
+def test_an_answer_that_is_no_answer_is_refused_as_such_and_any_other_gets_the_hint(answer: Any, expected: str) -> None:
+    exercise = replace(linearisation.growth_rate, mistakes={})  # one of its mistakes returns nan
     with pytest.raises(NotYet, match=re.escape(expected)):
-        exercise(answer)
+        exercise.grade(answer)
 
 
-def test_an_answer_that_stops_is_told_where_in_its_cell() -> None:
+def test_an_answer_that_stops_is_refused_with_the_line_in_its_cell() -> None:
     names: dict[str, Any] = {}
     exec("def rate(length, gyration_ratio):\n    half = length / 2\n    return half.size", names)
-    said = words("grade_02_1", names["rate"])
-    assert said == "rate stops in line 3 of its cell with AttributeError: 'float' object has no attribute 'size'"
+    sentence = "your function stops in line 3 of its cell with AttributeError: 'float' object has no attribute 'size'"
+    assert words("growth_rate", names["rate"]) == sentence
 
 
-def test_an_answer_that_spoils_its_arguments_is_judged_by_what_it_returns(capsys: pytest.CaptureFixture) -> None:
+def test_an_answer_that_changes_its_arguments_is_judged_by_what_it_returns() -> None:
     def in_place(a, b, x, sent):
         for u in sent:
             x[:] = a @ x + b @ u
         sent[:] = 0
         return x
 
-    grading.grade_03_3(in_place)
-    assert capsys.readouterr().out.startswith("right")
-
-
-def test_a_refusal_is_shown_in_a_notebook_as_one_line_without_a_traceback(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    shell = InteractiveShell(ipython_dir=str(tmp_path))
-    shell.run_cell("from fiplib import graders\ngraders.grade_02_1(lambda length, gyration_ratio: None)")
-    assert capsys.readouterr().out == "not yet: <lambda> returns nothing yet: fill it in\n"
+    mpc.state_when_it_acts.grade(in_place)

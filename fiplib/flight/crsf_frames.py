@@ -5,7 +5,7 @@ CRC over type and channels (https://github.com/crsf-wg/crsf/wiki/CRSF_FRAMETYPE_
 channel as microseconds, 0.62477 times its value + 881, and takes 1500 us for a centred stick: 991, not the 992 that the
 protocol calls the centre. Not tried on hardware; docs/radio.md has the settings that must go with it.
 
-``python -m fiplib.flight.radio`` prints Betaflight's part of these settings.
+``python -m fiplib.flight.crsf_frames`` prints Betaflight's part of these settings.
 """
 
 import math
@@ -13,8 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fiplib.flight.limits import Limits, Radio
 from fiplib.flight.setpoint import Setpoint
-from fiplib.params import NANO, Params
+from fiplib.params import NANO, Params, Vehicle
 
 BAUDS = (400000, 115200, 5250000, 3750000, 1870000, 921600, 2250000)
 """Bits per second at which an ExpressLRS module looks for its host (its CRSFHandset.cpp, ``TxToHandsetBauds``)."""
@@ -24,12 +25,12 @@ HEADER = bytes((0xC8, 0x18, 0x16))
 FRAME_BYTES = 26
 
 CENTRE, TRAVEL = 1500.0, 500.0
-"""Of a stick at Betaflight, us."""
+"""Pulse length of a centred stick at Betaflight, and its change at full deflection, us."""
 LOW, HIGH = CENTRE - TRAVEL, CENTRE + TRAVEL
 US_PER_COUNT = (2012.0 - 988.0) / (1811.0 - 172.0)
-"""Step of a channel at Betaflight, us (its rx/crsf.c)."""
+"""Change of Betaflight's pulse length per count of a channel, us (its rx/crsf.c)."""
 US_OFFSET = 881.0
-"""What Betaflight reads from a channel of 0, us (its rx/crsf.c)."""
+"""Pulse length that Betaflight assigns to a channel of 0, us (its rx/crsf.c)."""
 
 
 def crc8(data: bytes) -> int:
@@ -43,7 +44,7 @@ def crc8(data: bytes) -> int:
 
 
 def pack(channels: Sequence[int]) -> bytes:
-    """The frame (26 bytes) that carries 16 channels, each 0 to 2047. Raises ValueError for anything else."""
+    """Return the frame (26 bytes) that carries 16 channels, each 0 to 2047. Raises ValueError for anything else."""
     if len(channels) != CHANNELS or not all(0 <= value < 2048 for value in channels):
         raise ValueError(f"a frame carries {CHANNELS} channels of 0 to 2047, not {list(channels)}")
     bits = sum(int(value) << 11 * index for index, value in enumerate(channels))
@@ -52,7 +53,7 @@ def pack(channels: Sequence[int]) -> bytes:
 
 
 def count(microseconds: float) -> int:
-    """The channel's value that Betaflight reads as nearest to these microseconds."""
+    """Return the channel's value that Betaflight reads as nearest to these microseconds."""
     return round((microseconds - US_OFFSET) / US_PER_COUNT)
 
 
@@ -64,14 +65,15 @@ class Encoder:
     armed from the very first is encoded as it is: a port was opened again in flight.
 
     Args:
-        params: ``radio``, and ``vehicle`` and ``safety`` for the bounds.
+        params: ``vehicle``, for the bounds.
+        limits: ``radio``, and ``safety`` for the bounds.
 
     Raises:
         ValueError: ``radio`` makes no sense.
     """
 
-    def __init__(self, params: Params) -> None:
-        radio = params.radio
+    def __init__(self, params: Params, limits: Limits) -> None:
+        radio = limits.radio
         if radio.baud not in BAUDS:
             raise ValueError(f"radio.baud must be one of {', '.join(map(str, sorted(BAUDS)))}, not {radio.baud}")
         if sorted(radio.channels) != sorted("AETR"):
@@ -83,18 +85,18 @@ class Encoder:
                 f"radio.throttle_low must lie between {LOW:g} and {HIGH:g} us, motor_idle below 1, "
                 "thrust_curve at 1 or below"
             )
-        self._params = params
+        self._limit, self._limits = params.vehicle.max_body_rate, limits
         self._places = [radio.channels.index(letter) for letter in "AETR"]
         self._ready: int | None = 0
         """From when on, ns, an armed setpoint is encoded as it is; ``None`` after a disarmed one."""
 
     def frame(self, now: int, setpoint: Setpoint) -> bytes:
-        """The frame to send at ``now`` ns. Raises ValueError for an armed setpoint that is not finite."""
+        """Return the frame to send at ``now`` ns. Raises ValueError for an armed setpoint that is not finite."""
         return pack(self.channels(now, setpoint))
 
     def channels(self, now: int, setpoint: Setpoint) -> list[int]:
-        """The 16 channels to send at ``now`` ns, as ``frame``."""
-        params, radio = self._params, self._params.radio
+        """Return the 16 channels to send at ``now`` ns; raises as ``frame``."""
+        radio = self._limits.radio
         if setpoint.armed and not (np.isfinite(setpoint.body_rate).all() and math.isfinite(setpoint.thrust)):
             raise ValueError("an armed setpoint that is not finite")
         if not setpoint.armed:
@@ -105,37 +107,36 @@ class Encoder:
         sticks = [CENTRE, CENTRE, LOW, CENTRE]
         if setpoint.armed and self._ready is not None and now >= self._ready:
             # our axes are forward, left, up; its sticks roll right, pitch nose-down and yaw right
-            limit = params.vehicle.max_body_rate
-            share = np.clip(setpoint.body_rate, -limit, limit) / limit * (1.0, 1.0, -1.0)
+            share = np.clip(setpoint.body_rate, -self._limit, self._limit) / self._limit * (1.0, 1.0, -1.0)
             roll, pitch, yaw = (CENTRE + TRAVEL * share).tolist()
-            thrust = min(max(setpoint.thrust, 0.0), params.safety.max_thrust)
-            sticks = [roll, pitch, radio.throttle_low + throttle(params, thrust) * (HIGH - radio.throttle_low), yaw]
+            thrust = min(max(setpoint.thrust, 0.0), self._limits.safety.max_thrust)
+            sticks = [roll, pitch, radio.throttle_low + throttle(radio, thrust) * (HIGH - radio.throttle_low), yaw]
         for place, stick in zip(self._places, sticks, strict=True):
             values[place] = count(stick)
         values[radio.arm_channel - 1] = count(HIGH if setpoint.armed else LOW)
         return values
 
 
-def throttle(params: Params, thrust: float) -> float:
-    """Betaflight's throttle, 0 to 1, for a thrust normalised to [0, 1].
+def throttle(radio: Radio, thrust: float) -> float:
+    """Return Betaflight's throttle, 0 to 1, for a thrust normalised to [0, 1].
 
     The motors are given ``d = idle + (1 - idle) * throttle``, and pull ``c d^2 + (1 - c) d`` of their most, where ``c``
     is ``radio.thrust_curve``.
     """
-    idle, curve = params.radio.motor_idle, params.radio.thrust_curve
+    idle, curve = radio.motor_idle, radio.thrust_curve
     linear = 1.0 - curve
     # the root of the quadratic in a form that holds for c = 0 too
     drive = 2.0 * thrust / (linear + math.sqrt(linear**2 + 4.0 * curve * thrust)) if thrust > 0.0 else 0.0
     return min(max((drive - idle) / (1.0 - idle), 0.0), 1.0)
 
 
-def betaflight_settings(params: Params) -> list[str]:
-    """Lines for Betaflight's command line that make it understand these frames; the reasons are in docs/radio.md.
+def betaflight_settings(vehicle: Vehicle, radio: Radio) -> list[str]:
+    """Return the lines for Betaflight's command line that make it understand these frames; see docs/radio.md.
 
     Raises:
         ValueError: Betaflight cannot be given ``vehicle.max_body_rate``, which it takes in tens of deg/s.
     """
-    radio, degrees = params.radio, math.degrees(params.vehicle.max_body_rate)
+    degrees = math.degrees(vehicle.max_body_rate)
     tens = round(degrees / 10.0)
     if abs(degrees - 10.0 * tens) > 1e-6 or not 1 <= tens <= 200:
         raise ValueError(f"vehicle.max_body_rate is {degrees:g} deg/s: Betaflight takes 10, 20, ... 2000 deg/s")
@@ -175,4 +176,4 @@ def betaflight_settings(params: Params) -> list[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join(betaflight_settings(Params())))
+    print("\n".join(betaflight_settings(Vehicle(), Radio())))

@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.params import Vehicle
 from fiplib.pilot import Circle
-from fiplib.recording import MemoryRecorder
-from fiplib.replay import flight_of
 from fiplib.simulate import Scenario, fly
 from fiplib.teaching.animation import animation, player, vehicle_lines
 
@@ -25,9 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Animation was deleted without re
 
 @pytest.fixture(scope="module")
 def flight():
-    scenario, tape = Scenario("two-seconds", "short", 2.0, Circle(radius=0.4, period=8.0)), MemoryRecorder()
-    fly(scenario, tape)
-    return flight_of(tape, scenario)
+    return fly(Scenario("two-seconds", "short", 2.0, Circle(radius=0.4, period=8.0)))
 
 
 def pictures(page: str) -> list[Image.Image]:
