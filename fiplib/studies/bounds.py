@@ -25,6 +25,7 @@ from functools import cache
 import numpy as np
 from matplotlib.figure import Figure
 
+from fiplib.batch import fly_many
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION
 from fiplib.params import NANO, Params
@@ -32,7 +33,7 @@ from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Facts
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies.landscapes import EXCITATIONS, RODS
 
 KEYS = ("excitation", "rod", "noise", "knowledge")
@@ -86,7 +87,7 @@ def flown(excitation: str, rod: str) -> Flight:
     params = Params().replace(pendulum__gyration_ratio=RODS[rod])
     seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
     scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    flight = fly(scenario)
+    [flight] = fly_many([scenario])
     if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}")
     return flight
