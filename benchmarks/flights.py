@@ -254,7 +254,7 @@ def measure(quick: bool) -> list[Row]:
     for row in list(rows):
         if row.work.startswith("flight") and row.calls:
             per_flight = row.p50_us / 1e6 / (len(seeds) if "batch" in row.work else 1)
-            rows.append(rate(TOPIC, "real-time factor", f"{row.contender}, {row.work}", duration / per_flight, remark))
+            rows.append(rate(TOPIC, f"real-time factor, {row.work}", row.contender, duration / per_flight, remark))
     return rows
 
 
