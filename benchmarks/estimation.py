@@ -91,7 +91,9 @@ def genetic(params: Params, window: Window, fitness: Callable[..., NDArray] = ka
             unseen = [code for code in np.unique(codes) if code not in known]
             feasible = [code for code in unseen if code < chromosome.codes]
             known |= dict.fromkeys(unseen, np.inf)
-            known |= dict(zip(feasible, fitness(chromosome.length(np.array(feasible)), window, estimation), strict=True))
+            known |= dict(
+                zip(feasible, fitness(chromosome.length(np.array(feasible)), window, estimation), strict=True)
+            )
             if generation + 1 < estimation.generations:
                 scores = np.array([known[code] for code in codes])
                 codes = ga.breed(codes, scores, chromosome, estimation, rng)
@@ -152,9 +154,7 @@ def differential_evolution(params: Params, window: Window) -> Contender:
 
 def pymoo(params: Params, window: Window) -> Contender:
     """pymoo's genetic algorithm, a whole generation scored at once."""
-    algorithms, problems, optimize = needs(
-        "pymoo.algorithms.soo.nonconvex.ga", "pymoo.core.problem", "pymoo.optimize"
-    )
+    algorithms, problems, optimize = needs("pymoo.algorithms.soo.nonconvex.ga", "pymoo.core.problem", "pymoo.optimize")
     estimation = params.estimation
 
     class Length(problems.Problem):
@@ -224,14 +224,21 @@ def measure(quick: bool) -> list[Row]:
     )
     work = f"landscape, {len(lengths)} lengths"
     whole = compare(
-        TOPIC, work, Contender(lambda _: ga.landscape(window, params).fitness), {}, [None] * (2 if quick else 8), checks=1
+        TOPIC,
+        work,
+        Contender(lambda _: ga.landscape(window, params).fitness),
+        {},
+        [None] * (2 if quick else 8),
+        checks=1,
     )
     filterpy = per_length[-1]
     if filterpy.calls:
         taken = filterpy.p50_us * len(lengths) / len(few)
         remark = f"extrapolated from {len(few)} lengths"
         ratio = taken / whole[0].p50_us
-        whole.append(Row(TOPIC, work, "filterpy", ratio, taken, np.nan, 1, filterpy.difference, filterpy.agrees, remark))
+        whole.append(
+            Row(TOPIC, work, "filterpy", ratio, taken, np.nan, 1, filterpy.difference, filterpy.agrees, remark)
+        )
         print(line(whole[-1]))
     rows += per_length + whole
 

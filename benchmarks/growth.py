@@ -25,7 +25,7 @@ from fiplib.simulate import SCENARIOS, fly
 TOPIC = "growth"
 SAVED = FOLDER / "growth.csv"
 RICCATI_FLOPS = 710
-"""A node of one axis: [A B]'P [A B] by two products, 2 (5*5*6 + 6*5*6), and the update by a product of vectors, 2*25."""
+"""A node of one axis: [A B]'P [A B] by two products, 2 (5*5*6 + 6*5*6), and the update by an outer product, 2*25."""
 
 FILTER_FLOPS = 2 * 800
 """A sample of both axes of five states: F P F' (4*125), S factorised (125/3), gain and posterior (2*125)."""
@@ -98,11 +98,15 @@ def measure(quick: bool) -> list[Row]:
         for size in list(sizes)[:2] if quick else sizes:
             own, rivals, arguments, amount = at(size)
             rows.extend(
-                compare(TOPIC, f"{work}: {size}", own, rivals, arguments, budget=3.0, checks=2, block=min(8, len(arguments)))
+                compare(
+                    TOPIC, f"{work}: {size}", own, rivals, arguments, budget=3.0, checks=2, block=min(8, len(arguments))
+                )
             )
             own_p50 = next(row.p50_us for row in reversed(rows) if row.contender == "fip")
             floor = 1e6 * amount / per_second
-            remark = "operations at the rate of a matrix product" if per_second == flops else "bytes at the rate of a copy"
+            remark = (
+                "operations at the rate of a matrix product" if per_second == flops else "bytes at the rate of a copy"
+            )
             rows.append(Row(TOPIC, f"{work}: {size}", "floor", floor / own_p50, floor, np.nan, 1, np.nan, 1, remark))
 
     nodes = (15, 30, 60, 120, 240)

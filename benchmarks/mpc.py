@@ -49,9 +49,7 @@ class Tick(NamedTuple):
 
 def pushed(impulse: float) -> tuple[Push, ...]:
     """A push of ``impulse`` N s every 2 s, in directions that never repeat."""
-    return tuple(
-        Push(2.0 + 2.0 * i, (impulse * math.cos(2.4 * i), impulse * math.sin(2.4 * i))) for i in range(12)
-    )
+    return tuple(Push(2.0 + 2.0 * i, (impulse * math.cos(2.4 * i), impulse * math.sin(2.4 * i))) for i in range(12))
 
 
 FLIGHTS = {
@@ -269,12 +267,12 @@ def quadprog(params: Params) -> Contender:
         c = np.ascontiguousarray(np.vstack([rates, -rates, slack, -slack]).T)
         cost = 2 * free.T @ stage, 2 * r[axis.input] * inputs[:, 5:].T @ inputs[:, :5]
         room = np.tile(np.array(control.state_bounds)[places], nodes)
-        axes.append((axis, places, inverse, c, cost, held, inputs, room))
+        axes.append((places, inverse, c, cost, held, inputs, room))
     limit = params.vehicle.max_body_rate
 
     def call(tick: Tick) -> list[NDArray]:
         found = []
-        for axis, places, inverse, c, (weighted, crossed), held, inputs, room in axes:
+        for places, inverse, c, (weighted, crossed), held, inputs, room in axes:
             z0, reference = tick.state[places], tick.reference[1:, places].ravel()
             there, turned = held @ z0, inputs[:, :5] @ z0
             linear_part = np.zeros(6 * nodes)
@@ -480,10 +478,19 @@ def acados(params: Params) -> Contender:
     for suffix in ("", "_e"):
         for name, value in (("idxbx", np.arange(10)), ("lbx", -room), ("ubx", room), ("idxsbx", np.arange(10))):
             setattr(ocp.constraints, name + suffix, value)
-        for name, price in (("zl", 0.0), ("zu", 0.0), ("Zl", 2 * control.slack_weight), ("Zu", 2 * control.slack_weight)):
+        for name, price in (
+            ("zl", 0.0),
+            ("zu", 0.0),
+            ("Zl", 2 * control.slack_weight),
+            ("Zu", 2 * control.slack_weight),
+        ):
             setattr(ocp.cost, name + suffix, np.full(10, price))
     options = ocp.solver_options
-    options.qp_solver, options.integrator_type, options.nlp_solver_type = "PARTIAL_CONDENSING_HPIPM", "DISCRETE", "SQP_RTI"
+    options.qp_solver, options.integrator_type, options.nlp_solver_type = (
+        "PARTIAL_CONDENSING_HPIPM",
+        "DISCRETE",
+        "SQP_RTI",
+    )
     options.qp_solver_cond_N, options.qp_solver_warm_start, options.qp_tol = 20, 1, 1e-8
     solver = template.AcadosOcpSolver(ocp, verbose=False)
 
@@ -541,7 +548,9 @@ def new_length(params: Params, quick: bool) -> list[Row]:
         return build
 
     mpc = MPC(params)
-    own = Contender(lambda length: mpc.solve(*tick, length), lambda found: found.inputs, remark="set-up and first solve")
+    own = Contender(
+        lambda length: mpc.solve(*tick, length), lambda found: found.inputs, remark="set-up and first solve"
+    )
     others = {
         "PIQP": at(lambda changed: piqp(quadratic_program(changed))),
         "OSQP": at(lambda changed: osqp(quadratic_program(changed))),
@@ -563,7 +572,9 @@ def cold(params: Params, sequence: list[Tick], quick: bool) -> list[Row]:
 
     chosen = sequence[:: max(1, len(sequence) // (30 if quick else 300))]
     contender = ours(params)
-    return compare(TOPIC, "cold caches", contender, {"PIQP": lambda: piqp(quadratic_program(params))}, chosen, before=evict)
+    return compare(
+        TOPIC, "cold caches", contender, {"PIQP": lambda: piqp(quadratic_program(params))}, chosen, before=evict
+    )
 
 
 def measure(quick: bool) -> list[Row]:
