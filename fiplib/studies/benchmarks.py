@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
 from fiplib.reproduction.sources import Quantities, Rows
@@ -66,8 +67,8 @@ def table12_speed(rows: Rows) -> Table:
     lines = []
     for work in dict.fromkeys(row["work"] for row in rows if row["contender"] == OURS and row["calls"] > 0):
         own, *others = sorted((row for row in rows if row["work"] == work), key=lambda row: row["contender"] != OURS)
-        if not own["p50_us"] > 0.0 or own["topic"] == "growth":
-            continue  # a number that is no time
+        if not others or not own["p50_us"] > 0.0 or own["topic"] == "growth":
+            continue  # nothing beside it, or a number that is no time
         timed = sorted((row for row in others if row["calls"] > 0), key=lambda row: row["ratio"])
         best = next((row for row in timed if row["agrees"]), None)
         rest = [f"{_name(row)} {row['ratio']:.3g}" for row in timed if row is not best]
@@ -114,12 +115,14 @@ def fig14_growth(rows: Rows) -> Figure:
             else:
                 label = f"{contender} {exponent(sizes, times):.2f}"
                 axes.plot(sizes, times, ".-", color=BLUE if contender == OURS else next(colours), label=label)
-        axes.set(xscale="log", yscale="log", xlabel=f"{size} (s)" if size == "seconds" else f"{size} (1)")
+        axes.set(xscale="log", yscale="log", xlabel="duration (s)" if size == "seconds" else f"{size} (1)")
+        axes.set_xticks(ticks := sorted({row["size"] for row in found})[::2], [f"{tick:.0f}" for tick in ticks])
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.set_ylabel("time (ms)")
         axes.set_title(title)
         axes.margins(x=0.05, y=0.1)
         low, high = axes.get_ylim()
-        axes.set_ylim(low, high * (high / low) ** 0.6)  # room for the legend
+        axes.set_ylim(low, high * (high / low) ** 0.9)  # room for the legend
         axes.legend(fontsize=6, loc="upper left")
     for axes in panels[len(works) :]:
         axes.remove()
