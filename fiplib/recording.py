@@ -103,6 +103,11 @@ class Series:
     names: tuple[str, ...]
     units: tuple[str, ...]
 
+    @classmethod
+    def of(cls, role: str, stamp: np.ndarray, values: np.ndarray) -> "Series":
+        """Return the signal of a role, with its names and units."""
+        return cls(stamp, values, ROLES[role].names, ROLES[role].units)
+
     def column(self, name: str) -> np.ndarray:
         """The column (n,) of that name. Raises KeyError, with the names there are."""
         if name not in self.names:
@@ -194,7 +199,7 @@ EPOCH = 1_767_225_600 * NANO
 class Recorder(Protocol):
     """Where a flight is written to. Stamps are int nanoseconds; ``bags.BagRecorder`` writes a ROS 2 bag.
 
-    A recorder takes ``numbers`` and events; the other methods say which numbers those are.
+    A recorder takes ``numbers`` and events; the other methods put together the numbers of some roles.
     """
 
     failed: str | None = None
@@ -219,14 +224,6 @@ class Recorder(Protocol):
         """
         self.numbers(body, stamp, (*position, *orientation), received)
 
-    def state(self, stamp: int, values: Sequence[float]) -> None:
-        """The state the controller used, (10,) in the order of ``params.STATES``."""
-        self.numbers("state", stamp, values)
-
-    def reference(self, stamp: int, values: Sequence[float]) -> None:
-        """The reference at this tick, (10,) in the order of ``params.STATES``."""
-        self.numbers("reference", stamp, values)
-
     def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
         """Body rates (3,) in rad/s and normalised thrust, 0 to 1. A bag carries thrust in single precision."""
         self.numbers("command", stamp, (*rates, thrust))
@@ -234,14 +231,6 @@ class Recorder(Protocol):
     def length(self, stamp: int, used: float, raw: float, std: float) -> None:
         """Length that the controller uses, the raw estimate, and its standard deviation (both may be NaN), in m."""
         self.numbers("length", stamp, (used, raw, std))
-
-    def truth(self, stamp: int, values: Sequence[float]) -> None:
-        """True state, (11,): ``params.STATES`` and the altitude z. Simulator only."""
-        self.numbers("truth_state", stamp, values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        """True length of the rod in m. Simulator only."""
-        self.numbers("truth_length", stamp, (length,))
 
 
 class MemoryRecorder(Recorder):
@@ -282,8 +271,8 @@ class MemoryRecorder(Recorder):
             for body in ("vehicle", "pendulum")
         }
         series = {
-            role: Series(stamps[role], values[role], entry.names, entry.units) if role in stamps else None
-            for role, entry in ROLES.items()
+            role: Series.of(role, stamps[role], values[role]) if role in stamps else None
+            for role in ROLES
             if role not in (*bodies, "events")
         }
         start = int(min(poses.stamp[0] for poses in bodies.values()))

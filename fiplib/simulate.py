@@ -366,7 +366,7 @@ def fly(
     latency = round(params.simulation.mocap_latency * NANO)
     status = Status.OPTIMAL
 
-    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.numbers("truth_length", EPOCH, [params.pendulum.length])
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     for index in range(round(scenario.duration * rate)):
         seconds = index / rate
@@ -375,12 +375,12 @@ def fly(
         measurement = simulated.measure(stamp)
         tape.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
         tape.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
-        tape.truth(stamp, simulated.plant.truth())
+        tape.numbers("truth_state", stamp, simulated.plant.truth())
         command = pilot.step(now, measurement)
         if command is not None:
             simulated.command(command)
-            tape.state(now, command.state)
-            tape.reference(now, command.reference)
+            tape.numbers("state", now, command.state)
+            tape.numbers("reference", now, command.reference)
             tape.command(now, command.body_rate, command.thrust)
             if command.status is not status:
                 status = command.status

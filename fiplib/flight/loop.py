@@ -158,7 +158,7 @@ class FlightLoop:
             self._began = now
             self._recorder.length(now, guard.pilot.length, math.nan, math.nan)
             if self._link.truth is not None:
-                self._recorder.truth_length(now, self._scenario.params.pendulum.length)
+                self._recorder.numbers("truth_length", now, [self._scenario.params.pendulum.length])
         stop, disarm = operator.reason, operator.cut
         if fault := self._link.fault():
             stop, disarm = fault, True
@@ -177,13 +177,13 @@ class FlightLoop:
             recorder.pose("vehicle", accepted.stamp, now, accepted.vehicle_position, accepted.vehicle_attitude)
             recorder.pose("pendulum", accepted.stamp, now, accepted.pendulum_position, accepted.pendulum_attitude)
             if self._link.truth is not None:
-                recorder.truth(accepted.stamp, self._link.truth)
+                recorder.numbers("truth_state", accepted.stamp, self._link.truth)
         if setpoint is None or setpoint.stamp <= self._recorded:
             return
         self._recorded = setpoint.stamp
         if setpoint.command is not None:
-            recorder.state(setpoint.stamp, setpoint.command.state)
-            recorder.reference(setpoint.stamp, setpoint.command.reference)
+            recorder.numbers("state", setpoint.stamp, setpoint.command.state)
+            recorder.numbers("reference", setpoint.stamp, setpoint.command.reference)
         # the message carries thrust in single precision
         recorder.command(setpoint.stamp, setpoint.body_rate, float(np.float32(setpoint.thrust)))
 
