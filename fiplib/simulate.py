@@ -196,15 +196,6 @@ def _turned(q: NDArray, angle: NDArray) -> NDArray:
     return turned / math.sqrt(float(turned @ turned))
 
 
-class Rates(Protocol):
-    """What ``Command`` and a setpoint have in common: ``body_rate`` (3,) in rad/s, ``thrust`` normalised to [0, 1]."""
-
-    @property
-    def body_rate(self) -> ArrayLike: ...
-    @property
-    def thrust(self) -> float: ...
-
-
 class SimulatedVehicle:
     """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
@@ -231,8 +222,8 @@ class SimulatedVehicle:
             self._mocap = Mocap(self._params, NOISE_FRAMES, self._rng)
         return self._mocap.frame(index, stamp, self.plant.x)
 
-    def command(self, command: Rates, at: int | None = None) -> None:
-        """Take a command, to act after the usual delay or at a substep of the plant."""
+    def command(self, command: Any, at: int | None = None) -> None:
+        """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""
         self.flown = self.flown or 0
         self.plant.command(command.body_rate, command.thrust * self._params.vehicle.max_thrust, at)
 
@@ -347,16 +338,10 @@ def fly(
     progress: Callable[[float], None] | None = None,
     vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
 ) -> Flight:
-    """Fly a scenario in the simulator, through the pilot.
+    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
 
-    Args:
-        scenario: the flight.
-        recorder: where it is also written to.
-        progress: called with the simulated seconds done, about once per simulated second.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
-
-    Returns:
-        The flight, as ``bags.read`` gives it from its bag; a fall ends it early and is recorded as an event.
+    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
+    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
     """
     params, rate = scenario.params, scenario.params.piloting.mocap_rate
     tape = MemoryRecorder(recorder)
@@ -396,40 +381,36 @@ def fly(
     return tape.flight(scenario.name, scenario.metadata())
 
 
-def _scenarios() -> dict[str, Scenario]:
-    params = Params()
-    quick = Circle(radius=0.4, period=8.0)
-    flights = [
+_QUICK = Circle(radius=0.4, period=8.0)
+_FLIGHTS = (
+    Scenario(
+        "push-hover",
+        "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
+        26.0,
+        Hover(),
+        pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
+    ),
+    Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
+    *(
         Scenario(
-            "push-hover",
-            "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
-            26.0,
-            Hover(),
-            pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
-        ),
-        Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
-        *(
-            Scenario(
-                f"estimate-{length:.1f}",
-                f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
-                25.0,
-                quick,
-                params=params.replace(piloting__initial_length=length, piloting__estimate=True),
-                seed=seed,
-            )
-            for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
-        ),
-        Scenario(
-            "length-jump",
-            "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
-            26.0,
-            quick,
-            told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
-            params=params.replace(estimation__median_length=1),
-        ),
-    ]
-    return {scenario.name: scenario for scenario in flights}
+            f"estimate-{length:.1f}",
+            f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
+            25.0,
+            _QUICK,
+            params=Params().replace(piloting__initial_length=length, piloting__estimate=True),
+            seed=seed,
+        )
+        for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
+    ),
+    Scenario(
+        "length-jump",
+        "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
+        26.0,
+        _QUICK,
+        told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
+        params=Params().replace(estimation__median_length=1),
+    ),
+)
 
-
-SCENARIOS = _scenarios()
+SCENARIOS = {scenario.name: scenario for scenario in _FLIGHTS}
 """The flights recorded in ``data/``, by name."""
