@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fiplib.dynamics import body_z_of, euler_angles
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
-from fiplib.estimators.handover import HANDOVERS, HandOver
+from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
@@ -172,7 +172,7 @@ class Pilot:
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
-        self._handover: HandOver = policy(params, self._sampler.seconds / params.estimation.run_period)
+        self._handover = policy(params, self._sampler.seconds / params.estimation.run_period)
         self.length = self._handover.used
         self._mpc = MPC(params)
         self._gains = self._feedback()
