@@ -48,19 +48,14 @@ class Role(NamedTuple):
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("m", "m", "m", "1", "1", "1", "1")
+_COMMAND = ("omega_x", "omega_y", "omega_z", "thrust"), ("rad/s", "rad/s", "rad/s", "1")
 _STATE_UNITS = tuple(signal.unit for signal in STATES)
 
 ROLES = {
     "vehicle": Role("/mocap/quad/pose", POSE, "world", *_POSE),
     "pendulum": Role("/mocap/pendulum/pose", POSE, "world", *_POSE),
     "state": Role("/fip/state", JOINTS, "world", STATE_NAMES, _STATE_UNITS),
-    "command": Role(
-        "/fip/command",
-        ATTITUDE,
-        "base_link",
-        ("omega_x", "omega_y", "omega_z", "thrust"),
-        ("rad/s", "rad/s", "rad/s", "1"),
-    ),
+    "command": Role("/fip/command", ATTITUDE, "base_link", *_COMMAND),
     "reference": Role("/fip/reference", JOINTS, "world", STATE_NAMES, _STATE_UNITS),
     "length": Role("/fip/length", POINT, "world", ("used", "estimate", "standard_deviation"), ("m", "m", "m")),
     "events": Role("/fip/events", LOG, "", (), ()),
@@ -209,19 +204,14 @@ class Recorder(Protocol):
         """Take one message: the numbers that ``ROLES`` names, and for a pose the time at which it was received."""
         ...
 
-    def event(
-        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
-    ) -> None:
+    def event(self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping | None = None) -> None:
         """Take what happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
         ...
 
     def pose(
         self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
     ) -> None:
-        """Pose of ``vehicle`` or ``pendulum``: position (3,) in m, quaternion (4,) as x, y, z, w.
-
-        ``stamp`` is the time of exposure, ``received`` the time of delivery.
-        """
+        """Pose of a body, exposed at ``stamp``, delivered at ``received``: (3,) in m, quaternion (4,) as x, y, z, w."""
         self.numbers(body, stamp, (*position, *orientation), received)
 
     def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
@@ -253,9 +243,7 @@ class MemoryRecorder(Recorder):
         if self._other:
             self._other.numbers(role, stamp, values, received)
 
-    def event(
-        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
-    ) -> None:
+    def event(self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping | None = None) -> None:
         self.events.append(Event(stamp, level, text, kind, data or {}))
         if self._other:
             self._other.event(stamp, level, text, kind, data)

@@ -199,9 +199,7 @@ def _turned(q: NDArray, angle: NDArray) -> NDArray:
 class SimulatedVehicle:
     """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
-    Args:
-        scenario: start, reference, pushes, parameters and seed of the flight.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
+    ``vehicle`` makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
 
     def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
@@ -284,12 +282,8 @@ class SimulatedEstimator:
 class LengthUpdates:
     """The lengths that a pilot receives in flight: those prescribed by the scenario, and those that are estimated.
 
-    Args:
-        scenario: its ``told_lengths`` are the prescribed ones.
-        estimator: beside the flight, or ``None``.
-        receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
-        recorder: of lengths, refusals and the estimator's remarks.
-        say: takes the remarks, too.
+    ``receive`` hands (time ns, length m, standard deviation m) over and returns the length used from then on. Lengths,
+    refusals and the estimator's remarks are recorded; ``say`` takes the remarks, too.
     """
 
     def __init__(

@@ -159,11 +159,9 @@ def _sensitivities(motion: Motion, params: Params, names: tuple[str, ...]) -> tu
     transition = flat.reshape(20, -1, 20).swapaxes(0, 1)
     shift = np.empty((len(transition), 20, len(names)))
     for column, name in enumerate(names):
-        ends = []
-        for change in (1e-4, -1e-4):
-            step, _ = _step(_changed(params, name, change), motion.period)
-            ends.append(np.array(step.map(states.shape[1])(states, commands, force)))
-        shift[..., column] = (ends[0] - ends[1]).T / 2e-4
+        steps = (_step(_changed(params, name, change), motion.period)[0] for change in (1e-4, -1e-4))
+        more, less = (np.array(step.map(states.shape[1])(states, commands, force)) for step in steps)
+        shift[..., column] = (more - less).T / 2e-4
     return transition, shift
 
 

@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from io import BytesIO
+from string import Template
 from typing import Any
 
 import matplotlib as mpl
@@ -64,21 +65,18 @@ def player(flight: Flight, frames_per_second: float = 10.0, dots_per_inch: float
     with mpl.rc_context(LOOK):
         made.save("frames", writer=writer, dpi=dots_per_inch)
     name = "flight-" + hashlib.sha256("".join(writer.frames).encode()).hexdigest()[:12]
-    values = {"NAME": name, "FRAMES": json.dumps(writer.frames), "LAST": len(writer.frames) - 1, "FPS": writer.fps}
-    page = PLAYER
-    for word, value in values.items():
-        page = page.replace(f"${word}$", str(value))
-    return page
+    frames, last = json.dumps(writer.frames), len(writer.frames) - 1
+    return PLAYER.substitute(NAME=name, FRAMES=frames, LAST=last, FPS=writer.fps)
 
 
-PLAYER = """<div id="$NAME$" style="max-width: 100%">
+PLAYER = Template("""<div id="$NAME" style="max-width: 100%">
 <img alt="animation of the flight" style="max-width: 100%; display: block">
 <button type="button" style="width: 5em">pause</button>
-<input type="range" min="0" max="$LAST$" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
+<input type="range" min="0" max="$LAST" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
 </div>
 <script>
 (function start(tries) {
-  const frames = $FRAMES$, place = document.getElementById("$NAME$");
+  const frames = $FRAMES, place = document.getElementById("$NAME");
   // JupyterLab runs this before it puts the picture on the page
   if (!place) { if (tries) setTimeout(start, 100, tries - 1); return; }
   const [picture, button, slider] = ["img", "button", "input"].map(tag => place.querySelector(tag));
@@ -90,11 +88,11 @@ PLAYER = """<div id="$NAME$" style="max-width: 100%">
   const timer = setInterval(() => {
     if (!place.isConnected) { clearInterval(timer); return; }
     if (playing) { slider.value = (+slider.value + 1) % frames.length; show(); }
-  }, 1000 / $FPS$);
+  }, 1000 / $FPS);
   show();
 })(50);
 </script>
-"""
+""")
 
 
 class _Frames(AbstractMovieWriter):
