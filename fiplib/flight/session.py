@@ -5,7 +5,6 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from fiplib import bags
@@ -40,9 +39,7 @@ class NewBag:
         self._absent = not path.exists()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if not self.begun and self._absent:
             shutil.rmtree(self._path, ignore_errors=True)
         if self._aside is not None:
@@ -119,10 +116,8 @@ class Session:
             urgent(1)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
-        return self._stack.__exit__(kind, error, trace)
+    def __exit__(self, *raised: Any) -> bool | None:
+        return self._stack.__exit__(*raised)
 
     def _open_beside(self, stack: contextlib.ExitStack) -> None:
         params = self.scenario.params

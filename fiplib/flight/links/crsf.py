@@ -11,22 +11,17 @@ import functools
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
-
-from numpy.typing import NDArray
 
 from fiplib.flight.crsf_frames import BAUDS, FRAME_BYTES, Encoder
 from fiplib.flight.limits import Limits, Radio
-from fiplib.flight.links import LinkError, PoseSource
+from fiplib.flight.links import LinkError, PoseSource, RelayLink
 from fiplib.flight.links.ros2 import Ros2Poses
 from fiplib.flight.links.simulated import SimulatedLink
-from fiplib.flight.sender import Sender, SenderError
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO, Params
-from fiplib.recording import Measurement
 from fiplib.simulate import Scenario
 
 QUEUE = 4 * FRAME_BYTES
@@ -44,7 +39,7 @@ def _baud(text: str) -> str:
     return f"radio.baud={text}"
 
 
-class CrsfLink:
+class CrsfLink(RelayLink):
     """Setpoints out through a serial port, frames in from ``poses``.
 
     Args:
@@ -65,9 +60,8 @@ class CrsfLink:
         limits: Limits,
         mirror: Callable[[Setpoint], None] | None = None,
     ) -> None:
-        self.origin, self.events = poses.origin, poses.events
-        self._port, self._poses, self._params, self._limits, self._mirror = port, poses, params, limits, mirror
-        self.pids: dict[str, int] = {}
+        super().__init__(poses, functools.partial(CrsfSink, port, params, limits), params, limits)
+        self._mirror = mirror
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
@@ -103,45 +97,10 @@ class CrsfLink:
             return cls(options.crsf_port, vehicle, scenario.params, limits, vehicle.send)
         return cls(options.crsf_port, Ros2Poses.from_options(options, scenario), scenario.params, limits)
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            stack.enter_context(self._poses)
-            try:
-                open_sink = functools.partial(CrsfSink, self._port, self._params, self._limits)
-                self._sender = Sender(open_sink, self._params, self._limits)
-            except SenderError as error:
-                raise LinkError(f"--link crsf: {error}") from error
-            stack.enter_context(self._sender)
-            self._poses.wait()
-            self._open = stack.pop_all()  # the commands end first, then the poses
-        self.pids = {**self._poses.pids, "radio": self._sender.pid}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.close()
-
-    @property
-    def truth(self) -> NDArray | None:
-        return self._poses.truth
-
-    def now(self) -> int:
-        return self._poses.now()
-
-    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        return self._poses.receive(timeout)
-
     def send(self, setpoint: Setpoint) -> None:
-        self._sender.send(setpoint)
+        super().send(setpoint)
         if self._mirror is not None:
             self._mirror(setpoint)
-
-    def wait(self) -> None:
-        self._poses.wait()
-
-    def fault(self) -> str | None:
-        return self._sender.fault() or self._poses.fault()
 
 
 class CrsfSink:

@@ -17,7 +17,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -47,7 +46,7 @@ class HeldVehicle(SimulatedVehicle):
             super().command(command, at)
 
 
-class VirtualLink:
+class VirtualLink(Link):
     """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last.
 
     Args:
@@ -59,21 +58,11 @@ class VirtualLink:
 
     def __init__(self, scenario: Scenario, vehicle: HeldVehicle | None = None) -> None:
         self.vehicle = vehicle or HeldVehicle(scenario)
-        self.truth: NDArray | None = None
         self.events: deque[Event] = deque()
-        self.pids: dict[str, int] = {}
         self._rate = scenario.params.piloting.mocap_rate
         self._latency = round(scenario.params.simulation.mocap_latency * NANO)
         self._index = -1
         self._now = EPOCH
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
 
     def now(self) -> int:
         return self._now
@@ -87,17 +76,11 @@ class VirtualLink:
         self.truth = self.vehicle.plant.truth()
         return self._now, self.vehicle.measure(stamp)
 
-    def wait(self) -> None:
-        pass
-
     def send(self, setpoint: Setpoint) -> None:
         self.vehicle.command(setpoint)
 
-    def fault(self) -> str | None:
-        return None
 
-
-class SimulatedLink:
+class SimulatedLink(Link):
     """The simulated vehicle in real time, in its own process.
 
     Args:
@@ -122,10 +105,8 @@ class SimulatedLink:
     ) -> None:
         self.scenario, self._limits = scenario, limits
         self._open_sink, self._tap = sink or LoopbackSink, tap
-        self.truth: NDArray | None = None
         self.events: deque[Event] = deque()
         self.offset = time.time_ns() - time.monotonic_ns()
-        self.pids: dict[str, int] = {}
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
@@ -172,9 +153,7 @@ class SimulatedLink:
         self.pids = {"vehicle": self._process.pid, "sender": self._sender.pid}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._sender.close()
         self._process.kill()
         self._process.join()
@@ -195,9 +174,6 @@ class SimulatedLink:
         if values[27]:
             self.events.append(Push(0.0, (numbers[25], numbers[26]), numbers[27]).event(now))
         return now, Measurement(stamp, values[:3], values[3:7], values[7:10], values[10:14])
-
-    def wait(self) -> None:
-        pass  # the vehicle's process has said that it is ready
 
     def send(self, setpoint: Setpoint) -> None:
         self._sender.send(setpoint)
