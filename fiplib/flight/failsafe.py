@@ -214,8 +214,7 @@ class Guard:
         rod = good.pendulum_position - good.vehicle_position
         reach = math.sqrt(rod @ rod)
         if self.lean > safety.fallen_lean:
-            reason = f"pendulum fallen: it leans {math.degrees(self.lean):.0f} deg"
-            self._happens(now, Condition.ROD_FALLEN, reason)
+            self._happens(now, Condition.ROD_FALLEN, f"pendulum fallen: it leans {math.degrees(self.lean):.0f} deg")
         elif abs(reach - self._reach) > safety.seat_play:
             reason = f"pendulum off its seat: COM at {reach:.2f} m, not {self._reach:.2f} m"
             self._happens(now, Condition.ROD_OFF_SEAT, reason)
@@ -251,8 +250,7 @@ class Guard:
             self._happens(now, Condition.NO_SOLVER, f"no solver for {safety.hover_time:g} s ({self.solver_failure})")
 
     def _aged(self, age: float) -> str:
-        cause = f" ({self._monitor.refusal})" if self._monitor.refusal else ""
-        return f"pose {1e3 * age:.0f} ms old{cause}"
+        return f"pose {1e3 * age:.0f} ms old" + (f" ({self._monitor.refusal})" if self._monitor.refusal else "")
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] = self.refused.get(reason, 0) + 1
@@ -311,14 +309,14 @@ class Guard:
         if tick is None:
             return self._coasted(now)
         if solver.hovering_since is None:
-            return self._commanded(now, tick, solver.planned(now), Status.FAILED)
-        return self._commanded(now, tick, self.pilot.hold(tick, solver.place(tick.state)), Status.FAILED)
+            return self._commanded(now, tick, solver.planned(now))
+        return self._commanded(now, tick, self.pilot.hold(tick, solver.place(tick.state)))
 
     def _hover(self, now: int, reason: str) -> None:
         self._happens(now, Condition.SOLVER_FAILED, reason)
         self._solver.hover(now, reason)
 
-    def _commanded(self, now: int, tick: Tick, rates: NDArray, status: Status) -> Setpoint:
+    def _commanded(self, now: int, tick: Tick, rates: NDArray, status: Status = Status.FAILED) -> Setpoint:
         command = self.pilot.answer(tick, rates, status)
         return self._setpoint(now, command.body_rate, command.thrust, command)
 
@@ -341,24 +339,23 @@ class Guard:
         """Make the setpoint of an armed mode: finite and within bounds, whatever was asked for."""
         if not (np.isfinite(body_rate).all() and math.isfinite(thrust)):
             self.notes.append(Event(now, "error", "a command was not finite: levelled instead"))
-            return self._keep(levelling(self.params, self.limits, now, self._tilt.at(now))._replace(mode=self.mode))
+            level = levelling(self.params, self.limits, now, self._tilt.at(now))
+            self._last = level._replace(mode=self.mode)
+            return self._last
         limit = self.params.vehicle.max_body_rate
         rates, thrust = np.clip(body_rate, -limit, limit), max(0.0, min(self.limits.safety.max_thrust, thrust))
         self._tilt.send(now, rates)
-        return self._keep(Setpoint(now, True, self.mode, rates, thrust, command, self._tilt.at(now)))
-
-    def _keep(self, setpoint: Setpoint) -> Setpoint:
-        self._last = setpoint
-        return setpoint
+        self._last = Setpoint(now, True, self.mode, rates, thrust, command, self._tilt.at(now))
+        return self._last
 
     def _tick(self, now: int) -> Setpoint:
         self._check_ages(now)
         if not self._armed:
-            return self._keep(disarmed(now))
-        if self.mode is Mode.LEVEL:
-            return self._levelled(now)
-        if self.mode is Mode.COASTING:
-            return self._coasted(now)
+            self._last = disarmed(now)
+        elif self.mode is Mode.LEVEL:
+            self._levelled(now)
+        elif self.mode is Mode.COASTING:
+            self._coasted(now)
         return self._last
 
     def _between(self, now: int) -> Setpoint | None:
