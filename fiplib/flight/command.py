@@ -65,11 +65,7 @@ def list_scenarios() -> int:
 
 
 def chosen(options: argparse.Namespace) -> tuple[Scenario, Limits]:
-    """Return the scenario and the limits that the options ask for.
-
-    Raises:
-        ValueError: an unknown scenario or parameter, or a value that cannot be read.
-    """
+    """Return the scenario and the limits that the options ask for. Raises ValueError for options that make no sense."""
     if options.duration is not None and not 0.0 < options.duration < math.inf:
         raise ValueError(f"--duration {options.duration:g}: give seconds > 0")
     if options.scenario not in simulate.SCENARIOS:
@@ -119,15 +115,11 @@ def fly(session: Session, guard: Guard, observer: Callable[[FlightLoop, Session]
     """Fly behind the failsafe and record.
 
     Args:
-        session: not yet entered.
-        guard: the failsafe with its pilot.
+        session: not yet entered; its errors are raised.
         observer: called after each step of the loop.
 
     Returns:
         The exit status: 0, or 130 after an operator's abort.
-
-    Raises:
-        BagError, LinkError: as ``Session``.
     """
     started = ended = 0.0
     try:

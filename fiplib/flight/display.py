@@ -1,14 +1,11 @@
-"""The display of a flight in real time: a few redrawn lines on a terminal; elsewhere, a line now and then.
-
-Drawing happens in a thread of its own, so that a stalled or lost terminal holds up nothing else.
-"""
+"""The display of a flight, drawn in a thread of its own: a stalled or lost terminal holds up nothing else."""
 
 import shutil
 import sys
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Self, TextIO
+from typing import Self
 
 from fiplib.flight.sender import urgent
 
@@ -16,16 +13,12 @@ UP, CLEAR = "\x1b[{}A", "\x1b[J"
 
 
 class View:
-    """Shows the newest lines given to ``show``; a context manager.
+    """Shows the newest state on stderr: redrawn on a terminal, else as a line every 2 s. A context manager."""
 
-    Args:
-        stream: where to; a terminal is redrawn ``rate`` times per s, anything else gets a line every ``pause`` s.
-    """
-
-    def __init__(self, stream: TextIO | None = None, rate: float = 8.0, pause: float = 2.0) -> None:
-        self._stream = stream or sys.stderr
-        self._terminal = bool(self._stream.isatty())
-        self._pause = 1.0 / rate if self._terminal else pause
+    def __init__(self) -> None:
+        self._stream = sys.stderr
+        self._terminal = self._stream.isatty()
+        self._pause = 0.125 if self._terminal else 2.0
         self._newest: tuple[Sequence[str], str] | None = None
         self._drawn = 0
         self._said: list[str] = []

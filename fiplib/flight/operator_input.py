@@ -40,10 +40,8 @@ class OperatorInput:
     def _signalled(self, number: int, frame: FrameType | None) -> None:
         # a terminal that goes may say so more than once
         self.cut = self.reason is not None and signal.Signals(number).name != "SIGHUP"
-        self.reason = self.reason or {
-            signal.SIGINT: "operator abort (Ctrl-C)",
-            signal.SIGTERM: "told to end (SIGTERM)",
-        }.get(signal.Signals(number), "terminal lost (SIGHUP)")
+        reasons = {"SIGINT": "operator abort (Ctrl-C)", "SIGTERM": "told to end (SIGTERM)"}
+        self.reason = self.reason or reasons.get(signal.Signals(number).name, "terminal lost (SIGHUP)")
 
     def look(self, ready: bool) -> None:
         """Look whether Enter was pressed: once to arm (not counted before the vehicle is ready), once more to land."""

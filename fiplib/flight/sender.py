@@ -29,6 +29,7 @@ WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
 MODES = list(Mode)
 LEAVE = b"leave"
+SPAWN = multiprocessing.get_context("spawn")
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
 HEARTBEAT = 0.05
@@ -128,10 +129,7 @@ class Sender:
     """Sends setpoints from its own process; a context manager.
 
     Args:
-        open_sink: makes the sink, in the sender's process; must pickle (a class or function of a module, or a
-            ``functools.partial`` of one).
-        params: ``vehicle`` and ``pendulum``.
-        limits: ``safety``.
+        open_sink: makes the sink, in the sender's process; must pickle.
 
     Raises:
         SenderError: the process does not start, or the sink cannot be opened.
@@ -144,13 +142,11 @@ class Sender:
         self.counts = Counts()
         self.dropped = 0
         self._rescue: threading.Thread | None = None
-        context = multiprocessing.get_context("spawn")
-        receiver, self._setpoints = context.Pipe(duplex=False)
-        self._status, status = context.Pipe(duplex=False)
+        receiver, self._setpoints = SPAWN.Pipe(duplex=False)
+        self._status, status = SPAWN.Pipe(duplex=False)
+        task = (open_sink, params, limits, receiver, status)
         # a daemon is terminated and waited for when this process exits, and leaves in good order then
-        self._process = context.Process(
-            target=_serve, args=(open_sink, params, limits, receiver, status), name="fip-sender", daemon=True
-        )
+        self._process = SPAWN.Process(target=_serve, args=task, name="fip-sender", daemon=True)
         self._process.start()
         receiver.close()
         status.close()
@@ -263,10 +259,10 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise SystemExit  # no ``except Exception`` keeps it
 
 
-def urgent(level: int) -> None:
-    """Real-time scheduling at a level from 1, for this process and not for those it starts; where it is allowed."""
+def urgent(level: int, thread: int = 0) -> None:
+    """Real-time scheduling at a level from 1, for this or another thread, not inherited; where it is allowed."""
     with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
 
 
 def ignore_the_terminal() -> None:

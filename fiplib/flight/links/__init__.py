@@ -26,10 +26,7 @@ class LinkError(FipError):
 
 
 class PoseSource(Protocol):
-    """Where frames come from, open between ``__enter__`` and ``__exit__``: the first half of a ``Link``.
-
-    Subclasses inherit an opening, a closing and a waiting that do nothing, and no fault.
-    """
+    """Where frames come from, a context manager: the first half of a ``Link``. Nothing to open or close by default."""
 
     origin: str
     """"simulated" or "real": where the poses come from, for the bag's metadata."""
@@ -48,7 +45,7 @@ class PoseSource(Protocol):
         return self
 
     def __exit__(self, *_: object) -> None:
-        return None
+        """Close it."""
 
     def now(self) -> int:
         """Return the link's clock, ns; arrival times and setpoints are stamped by it."""
@@ -63,7 +60,6 @@ class PoseSource(Protocol):
 
     def wait(self) -> None:
         """Return once frames arrive. Raises LinkError, with the reason, if none do."""
-        return None
 
     def fault(self) -> str | None:
         """Return why the vehicle cannot be flown any more (a process has died ...); ``None`` while it can."""
@@ -80,6 +76,15 @@ class Link(PoseSource, Protocol):
     name: str
     """Its name on the command line and in the bag's metadata."""
 
+    @staticmethod
+    def arguments(parser: argparse._ArgumentGroup) -> None:
+        """Add the options of this link to the parser; their names start with the link's: ``--crsf-port``."""
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> "Link":
+        """Return the link that the options ask for, not yet open. Raises ValueError for options that make no sense."""
+        ...
+
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
         ...
@@ -90,8 +95,7 @@ class RelayLink(Link):
 
     Args:
         poses: not yet open.
-        open_sink: makes the sender's way out, as ``sender.Sender``.
-        params, limits: those of the command sender.
+        open_sink, params, limits: as ``sender.Sender``.
     """
 
     def __init__(self, poses: PoseSource, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
@@ -134,23 +138,7 @@ class RelayLink(Link):
         return self._sender.fault() or self.poses.fault()
 
 
-class LinkChoice(Protocol):
-    """The part of a link's class that the command line uses."""
-
-    name: str
-
-    @staticmethod
-    def arguments(parser: argparse._ArgumentGroup) -> None:
-        """Add the options of this link to the parser; their names start with the link's: ``--crsf-port``."""
-        ...
-
-    @classmethod
-    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
-        """Return the link that the options ask for, not yet open. Raises ValueError for options that make no sense."""
-        ...
-
-
-def available() -> dict[str, type[LinkChoice]]:
+def available() -> dict[str, type[Link]]:
     """Return the links by name."""
     from fiplib.flight.links.crsf import CrsfLink  # here, because these modules import this one
     from fiplib.flight.links.ros2 import Ros2Link

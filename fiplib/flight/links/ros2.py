@@ -1,9 +1,8 @@
 """``--link ros2``: poses from ROS 2 topics, commands to one.
 
 Two ``geometry_msgs/PoseStamped`` topics carry the bodies, and are read with the QoS of sensor data: best effort, which
-matches every publisher, while a reliable subscription never matches a best-effort publisher. The poses of one exposure
-are put together by their stamps (``Pairing``). Commands leave from the sender's process through a node of its own
-(``Ros2Sink``), as ``mavros_msgs/AttitudeTarget``, or as ``geometry_msgs/TwistStamped`` where MAVROS is not installed.
+matches every publisher, while a reliable subscription never matches a best-effort publisher. Commands leave as
+``mavros_msgs/AttitudeTarget``, or as ``geometry_msgs/TwistStamped`` where MAVROS is not installed.
 
 rclpy is imported on entering only. Flown over real DDS with a simulated vehicle, never with hardware; the
 AttitudeTarget topic was never tried with a running MAVROS. See docs/ros2.md.
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from fiplib.bags.messages import IGNORE_ATTITUDE
 from fiplib.flight.limits import Limits
 from fiplib.flight.links import LinkError, PoseSource, RelayLink
+from fiplib.flight.sender import urgent
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO, STATE_NAMES, Params
 from fiplib.pilot import Command
@@ -59,7 +59,7 @@ class Pairing:
     """
 
     def __init__(self, tolerance: int) -> None:
-        self._tolerance = tolerance
+        self.tolerance = tolerance
         self._waiting: tuple[deque[tuple[int, NDArray]], ...] = (deque(maxlen=UNPAIRED), deque(maxlen=UNPAIRED))
         self.nearest: int | None = None
 
@@ -70,7 +70,7 @@ class Pairing:
         """
         own, other = self._waiting[body], self._waiting[1 - body]
         gaps = [abs(stamp - waiting) for waiting, _ in other]
-        if not gaps or min(gaps) > self._tolerance:
+        if not gaps or min(gaps) > self.tolerance:
             self.nearest = min([*gaps, *(() if self.nearest is None else (self.nearest,))], default=None)
             own.append((stamp, pose))
             return None
@@ -93,8 +93,7 @@ def urgent_threads(level: int) -> Iterator[None]:
     before = threads()
     yield
     for thread in threads() - before:
-        with suppress(OSError):
-            os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        urgent(level, thread)
 
 
 class Node:
@@ -162,7 +161,6 @@ class Ros2Poses(PoseSource):
     def __init__(self, topics: tuple[str, str], tolerance: float, origin: str, patience: float) -> None:
         self.topics, self.origin, self._patience = topics, origin, patience
         self.events: deque[Event] = deque()
-        self._tolerance = tolerance
         self._pairing = Pairing(round(tolerance * NANO))
         self._frames: deque[tuple[int, Measurement]] = deque()
         self._counts, self._paired = [0, 0], False
@@ -172,41 +170,19 @@ class Ros2Poses(PoseSource):
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
         """Add the options of the poses, for every link that takes them from ROS 2."""
-        parser.add_argument(
-            "--ros2-origin",
-            choices=("real", "simulated"),
-            help="where the poses come from; must be said, the bag carries it. A simulated vehicle is armed at once, "
-            "a real one by the Enter key",
-        )
-        parser.add_argument(
-            "--ros2-mocap",
-            choices=PRESETS,
-            default="fip",
-            help="topics named as this driver names them: "
-            + ", ".join(f"{name} {topic.format('BODY')}" for name, topic in PRESETS.items())
-            + " (default: %(default)s)",
-        )
+        add = parser.add_argument
+        origin = "whose poses; must be given. A simulated vehicle is armed at once, a real one by the Enter key"
+        add("--ros2-origin", choices=("real", "simulated"), help=origin)
+        topics = ", ".join(f"{name} {topic.format('BODY')}" for name, topic in PRESETS.items())
+        mocap = f"topics named as this driver names them: {topics} (default: %(default)s)"
+        add("--ros2-mocap", choices=PRESETS, default="fip", help=mocap)
         for body, name in zip(BODIES, ("quad", "pendulum"), strict=True):
-            parser.add_argument(
-                f"--ros2-{body}", default=name, metavar="BODY", help=f"the {body}'s name (default: %(default)s)"
-            )
-            parser.add_argument(
-                f"--ros2-{body}-topic", metavar="TOPIC", help=f"the {body}'s topic in full, instead of a driver's"
-            )
-        parser.add_argument(
-            "--ros2-pairing",
-            type=float,
-            default=2.0,
-            metavar="MS",
-            help="stamps of vehicle and pendulum that differ by less belong to one frame (default: %(default)g ms)",
-        )
-        parser.add_argument(
-            "--ros2-wait",
-            type=float,
-            default=10.0,
-            metavar="S",
-            help="how long to wait for poses and for a vehicle that listens (default: %(default)g s)",
-        )
+            add(f"--ros2-{body}", default=name, metavar="BODY", help=f"the {body}'s name (default: %(default)s)")
+            add(f"--ros2-{body}-topic", metavar="TOPIC", help=f"the {body}'s topic in full, instead of a driver's")
+        pairing = "stamps of vehicle and pendulum that differ by less belong to one frame (default: %(default)g ms)"
+        add("--ros2-pairing", type=float, default=2.0, metavar="MS", help=pairing)
+        patience = "how long to wait for poses and for a vehicle that listens (default: %(default)g s)"
+        add("--ros2-wait", type=float, default=10.0, metavar="S", help=patience)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario) -> Self:
@@ -261,19 +237,16 @@ class Ros2Poses(PoseSource):
         return time.monotonic_ns() + self._offset
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        end = time.monotonic() + timeout
-        left = timeout
-        while not self._frames:
+        end, left = time.monotonic() + timeout, max(0.0, timeout)
+        while not self._frames and left >= 0.0:
             try:
-                self.node.executor.spin_once(timeout_sec=max(0.0, left))
+                self.node.executor.spin_once(timeout_sec=left)
             except Exception as error:  # whatever rclpy raises
                 self._fault = f"ROS 2 has failed ({type(error).__name__}: {error})"
-                time.sleep(max(0.0, left))
+                time.sleep(left)
                 return None
             left = end - time.monotonic()
-            if left <= 0.0 and not self._frames:
-                return None
-        return self._frames.popleft()
+        return self._frames.popleft() if self._frames else None
 
     def fault(self) -> str | None:
         return self._fault
@@ -310,12 +283,11 @@ class Ros2Poses(PoseSource):
             return self._fault
         if self._paired:
             return None
-        nearest = (
-            "" if self._pairing.nearest is None else f", the nearest are {self._pairing.nearest / 1e6:.3g} ms apart"
-        )
+        gap = self._pairing.nearest
+        nearest = "" if gap is None else f", the nearest are {gap / 1e6:.3g} ms apart"
         return (
             f"poses come on {' and '.join(self.topics)}, but their stamps never agree{nearest}; one clock must stamp "
-            f"both (--ros2-pairing {self._tolerance * 1e3:g})"
+            f"both (--ros2-pairing {self._pairing.tolerance / 1e6:g})"
         )
 
 
@@ -333,18 +305,13 @@ class Ros2Link(RelayLink):
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
         Ros2Poses.arguments(parser)
-        parser.add_argument(
-            "--ros2-command",
-            choices=COMMANDS,
-            help="message of the commands: mavros_msgs/AttitudeTarget, or geometry_msgs/TwistStamped with body rates "
-            "in angular and thrust in linear.z (default: attitude where mavros_msgs is installed)",
+        command = (
+            "message of the commands: mavros_msgs/AttitudeTarget, or geometry_msgs/TwistStamped with body rates in "
+            "angular and thrust in linear.z (default: attitude where mavros_msgs is installed)"
         )
-        parser.add_argument(
-            "--ros2-command-topic",
-            default=ROLES["command"].topic,
-            metavar="TOPIC",
-            help="topic of the commands (default: %(default)s; MAVROS listens to /mavros/setpoint_raw/attitude)",
-        )
+        parser.add_argument("--ros2-command", choices=COMMANDS, help=command)
+        topic = "topic of the commands (default: %(default)s; MAVROS listens to /mavros/setpoint_raw/attitude)"
+        parser.add_argument("--ros2-command-topic", default=ROLES["command"].topic, metavar="TOPIC", help=topic)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Self:
@@ -389,7 +356,6 @@ class Ros2Sink:
 
     Args:
         kind: of the message, a key of ``COMMANDS``.
-        topic: where to.
         node: to publish from; by default one of its own.
 
     Raises:
@@ -409,7 +375,7 @@ class Ros2Sink:
         except Exception as error:  # rclpy's: a topic's name may be no name
             self.close()
             raise LinkError(f"cannot publish commands on {topic} ({error})") from error
-        self._message, self._fill = message(), {"attitude": fill_attitude, "twist": fill_twist}[kind]
+        self._message, self._fill = message(), fill_attitude if kind == "attitude" else fill_twist
         self._message.header.frame_id = ROLES["command"].frame
 
     def send(self, setpoint: Setpoint) -> None:
@@ -439,15 +405,13 @@ def stamped(header: Any, stamp: int) -> None:
 
 def fill_attitude(message: Any, setpoint: Setpoint) -> None:
     """mavros_msgs/AttitudeTarget: body rates (x forward, y left, z up) and normalised thrust; the attitude ignored."""
-    message.type_mask = IGNORE_ATTITUDE
-    message.orientation.w = 1.0
-    rate = message.body_rate
-    rate.x, rate.y, rate.z = (float(value) for value in setpoint.body_rate)
+    message.type_mask, message.orientation.w, rate = IGNORE_ATTITUDE, 1.0, message.body_rate
+    rate.x, rate.y, rate.z = setpoint.body_rate.tolist()
     message.thrust = float(setpoint.thrust)
 
 
 def fill_twist(message: Any, setpoint: Setpoint) -> None:
     """geometry_msgs/TwistStamped: body rates in ``angular``, normalised thrust in ``linear.z``."""
     rate = message.twist.angular
-    rate.x, rate.y, rate.z = (float(value) for value in setpoint.body_rate)
+    rate.x, rate.y, rate.z = setpoint.body_rate.tolist()
     message.twist.linear.z = float(setpoint.thrust)

@@ -1,8 +1,7 @@
-"""``--link sim``: the simulated vehicle, in virtual time or against the wall clock.
+"""``--link sim``: the simulated vehicle, in virtual time (the same flight every time) or against the wall clock.
 
-``VirtualLink`` moves the vehicle by one frame whenever a frame is asked for: as fast as possible, and the same every
-time. ``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the
-loopback interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
+``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the loopback
+interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
 """
 
 import argparse
@@ -24,7 +23,17 @@ from numpy.typing import NDArray
 
 from fiplib.flight.limits import Limits
 from fiplib.flight.links import Link, LinkError
-from fiplib.flight.sender import START_TIME, Sender, SenderError, Sink, decode, encode, ignore_the_terminal, urgent
+from fiplib.flight.sender import (
+    SPAWN,
+    START_TIME,
+    Sender,
+    SenderError,
+    Sink,
+    decode,
+    encode,
+    ignore_the_terminal,
+    urgent,
+)
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO
 from fiplib.recording import EPOCH, Event, Measurement
@@ -47,12 +56,7 @@ class HeldVehicle(SimulatedVehicle):
 
 
 class VirtualLink(Link):
-    """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last.
-
-    Args:
-        scenario: the flight.
-        vehicle: another vehicle than that of the scenario.
-    """
+    """The simulated vehicle, or another ``vehicle``, in virtual time: a frame per ``receive``, one period further."""
 
     name, origin = "sim", "simulated"
 
@@ -84,7 +88,6 @@ class SimulatedLink(Link):
     """The simulated vehicle in real time, in its own process.
 
     Args:
-        scenario: the flight.
         limits: those of the command sender.
         sink: makes the sender's way out to the vehicle's address, in the sender's process; must pickle.
         tap: called in the vehicle's process with each frame.
@@ -110,14 +113,10 @@ class SimulatedLink(Link):
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
-        parser.add_argument(
-            "--real-time",
-            action="store_true",
-            help="against the wall clock, with failsafe, estimator and command sender in processes of their own",
-        )
-        parser.add_argument(
-            "--failsafe", action="store_true", help="as fast as possible, but with the failsafe around the pilot"
-        )
+        real_time = "against the wall clock, with failsafe, estimator and command sender in processes of their own"
+        parser.add_argument("--real-time", action="store_true", help=real_time)
+        failsafe = "as fast as possible, but with the failsafe around the pilot"
+        parser.add_argument("--failsafe", action="store_true", help=failsafe)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
@@ -128,14 +127,9 @@ class SimulatedLink(Link):
         for one in (self.frames, commands):
             one.bind(("127.0.0.1", 0))
         self.frames.setblocking(False)
-        context = multiprocessing.get_context("spawn")
-        ready, tell = context.Pipe(duplex=False)
-        self._process = context.Process(
-            target=fly_vehicle,
-            args=(self.scenario, commands, self.frames.getsockname(), self.offset, tell, self._tap),
-            name="fip-vehicle",
-            daemon=True,
-        )
+        ready, tell = SPAWN.Pipe(duplex=False)
+        task = (self.scenario, commands, self.frames.getsockname(), self.offset, tell, self._tap)
+        self._process = SPAWN.Process(target=fly_vehicle, args=task, name="fip-vehicle", daemon=True)
         self._process.start()
         tell.close()
         address = commands.getsockname()
