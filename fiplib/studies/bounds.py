@@ -1,19 +1,12 @@
-"""The limit: the Cramer-Rao bound of the length over window, excitation, noise, inertia and what else is known.
+"""The Cramer-Rao bound of the length over window, excitation, noise, inertia and what else is known (docs/studies.md).
 
 A case is one flight with the true length in use; its row has the bound for windows of ``WINDOWS`` seconds, root mean
-square over windows that begin at ``STARTS``. The length is read from how offset and tilt go together as the vehicle
-moves. In windows of 2.5 s (figure 12): a circle flown in 5 s instead of 8 s tells 1.5 times as much; hover, where only
-noise moves the vehicle, five times less than the circle; positions measured five times worse cost five times the
-bound, attitudes next to nothing, as they also follow from the commands; not to know inertia and lag costs an eighth of
-it, and in half a second, where both show as the length does, almost half. Not to know the calibration costs most: the
-bound is 2.4 times as large, and in a second, in which a rod hardly moves beside a constant, nearly 20 times; a circle
-flown in 5 s takes it back. In windows of 10 s it costs nothing any more. ``knowledge``:
+square over windows that begin at ``STARTS``. ``knowledge``:
 
 - ``plant known``: all but the state and the length;
-- ``calibration unknown``: four constants, where markers and body frame sit, as well (``bound.OFFSETS``);
+- ``calibration unknown``: four constants, where markers and body frame sit, as well (``likelihood.CALIBRATION``);
 - ``inertia and lag unknown``: these two as well;
-- ``height measured``: motion capture reports the height of the pendulum's centre of mass too, which is half the length:
-  hundredths of a millimetre, from the first frames on. No estimator here uses it.
+- ``height measured``: motion capture reports the height of the pendulum's centre of mass too.
 
 120 rows, about 4 minutes of one core.
 """
@@ -46,7 +39,7 @@ KNOWLEDGE = {
     "inertia and lag unknown": (("inertia_factor", "rate_lag"), False),
     "height measured": ((), True),
 }
-"""Arguments of ``bound.cramer_rao``: nuisances, and whether the height is measured."""
+"""Arguments of ``cramer_rao.cramer_rao``: nuisances, and whether the height is measured."""
 
 WINDOWS = (0.25, 0.5, 1.0, 2.5, 5.5, 10.0)
 STARTS = (6.0, 8.0, 10.0)
