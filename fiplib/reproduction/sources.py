@@ -1,6 +1,8 @@
 """The sources of a figure, table or claim: bags, and the finished tables of studies and benchmarks, read from disk."""
 
 import csv
+import pkgutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +10,10 @@ from typing import TYPE_CHECKING
 from fiplib.params import FipError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fiplib.recording import Flight
+    from fiplib.reproduction.tables import Table
 
 Rows = list[dict[str, float | str]]
 """A finished table of a study: one dictionary per case, numbers as float."""
@@ -63,6 +68,21 @@ class Sources:
         flights = [bags.read(data / bag) for bag in self.bags]
         tables = [read(study, data) for study in self.studies]
         return flights + tables + [quantities(data.parent / "benchmarks" / f"{name}.csv") for name in self.benchmarks]
+
+
+@dataclass(frozen=True)
+class Product(Sources):
+    """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns.
+
+    ``parts`` are further functions that make it.
+    """
+
+    address: str
+    parts: tuple[str, ...] = ()
+
+    def load(self) -> "Callable[..., Figure | Table]":
+        """Import the function."""
+        return pkgutil.resolve_name(self.address)
 
 
 def read(study: str, data: Path = Path("data")) -> Rows:

@@ -7,7 +7,8 @@ The criterion, stated before the search. A candidate passes if
 2. *starts*: on the 0.4 m circle it stays up from l0 = 0.8, 1.2 and 1.4 m for ``START_SECONDS``, until the estimator's
    first window is full;
 3. *ledger*: in shortened flights of ``push-hover`` and ``circle-0.8`` the rows ``NEEDED`` hold, by ``claims``' own
-   rules. ``ALSO`` is judged and shown, but not asked for: no candidate with equal axes gives them with C2.gain (docs/studies.md).
+   rules. ``ALSO`` is judged and shown, but not asked for: no candidate with equal axes gives them with C2.gain
+   (docs/studies.md).
 
 Candidate 0 is the default of ``params``, 1 the other set that the prototypes found, 2 the default with equal axes, as
 it was until this search. The rest is drawn: log-uniform in ``RANGES``, equal for both axes, rounded to three digits.
