@@ -133,9 +133,9 @@ def table11_imperfections(rows: Rows) -> Table:
     for name in IMPERFECTIONS:
         chosen = [row for row in rows if row["imperfection"] == name]
         cells = [number(1e3 * pooled(chosen, "ga").rms, 0)]
-        for estimator in ("maximum_likelihood_calibrated", "maximum_likelihood"):
+        for estimator in NAMES[1:]:
             found = pooled(chosen, estimator)
-            cells.append(f"{100 * found.windows / _given(chosen, estimator):.0f}")
+            cells.append(_answered(chosen, estimator))
             cells += [number(1e3 * found.rms, 1), f"{100 * found.covered:.0f}"] if found.windows else [NONE, NONE]
         lines.append((name.replace("%", r"\%"), *cells))
     header = ("Imperfection", "GA: RMSE (mm)")
@@ -144,23 +144,21 @@ def table11_imperfections(rows: Rows) -> Table:
     return Table(header, lines, "lrrrrrrr")
 
 
-def _given(rows: Rows, name: str) -> float:
-    """How many windows an estimator was given."""
-    return sum(row[f"n_{name}"] + row[f"refused_{name}"] for row in rows)
+def _answered(rows: Rows, name: str) -> str:
+    """The share of its windows that an estimator answered, %."""
+    answered, refused = (sum(row[f"{column}_{name}"] for row in rows) for column in ("n", "refused"))
+    return f"{100 * answered / (answered + refused):.0f}"
 
 
 def facts(rows: Rows) -> Facts:
     """Return what the report states of three imperfections."""
     found: Facts = {}
-    for key, kind in {
-        "marker": "marker 0.1 mm off",
-        "turned": "frame turned by 0.5 deg",
-        "all": "all of them",
-    }.items():
+    kinds = {"marker": "marker 0.1 mm off", "turned": "frame turned by 0.5 deg", "all": "all of them"}
+    for key, kind in kinds.items():
         chosen = [row for row in rows if row["imperfection"] == kind]
-        for name in ("ga", "maximum_likelihood_calibrated", "maximum_likelihood"):
+        for name in NAMES:
             one = pooled(chosen, name)
-            found[key, name, "answered"] = f"{100 * one.windows / _given(chosen, name):.0f}"
+            found[key, name, "answered"] = _answered(chosen, name)
             if one.windows:
                 found[key, name, "rms"] = f"{1e3 * one.rms:.1f}"
                 found[key, name, "covered"] = f"{100 * one.covered:.0f}"

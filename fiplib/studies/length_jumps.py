@@ -87,20 +87,13 @@ def facts(rows: Rows) -> Facts:
     """Return the shortest and longest length that flies, by rod, change and duration."""
     found: Facts = {}
     flights = max(row["survived"] for row in rows)
-    for rod in ("uniform", "point mass"):
-        for change in ("at once", "in steps"):
-            for lasting in ("for good", "2 s"):
-                kind = {"rod": rod, "change": change, "lasting": lasting}
-                some = [row for row in rows if kind.items() <= row.items()]
-                fell = [row["length"] for row in some if row["survived"] < flights]
-                ends = {
-                    "shortest": min(
-                        r["length"] for r in some if r["length"] > max((x for x in fell if x < 1), default=0)
-                    ),
-                    "longest": max(
-                        r["length"] for r in some if r["length"] < min((x for x in fell if x > 1), default=9)
-                    ),
-                }
-                name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
-                found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    for kind in itertools.product(("uniform", "point mass"), CHANGES, LASTING):
+        some = [row for row in rows if (row["rod"], row["change"], row["lasting"]) == kind]
+        fell = [row["length"] for row in some if row["survived"] < flights]
+        below = max((length for length in fell if length < TRUE_LENGTH), default=0.0)
+        above = min((length for length in fell if length > TRUE_LENGTH), default=math.inf)
+        flying = [row["length"] for row in some if below < row["length"] < above]
+        rod, change, lasting = kind
+        name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
+        found |= {(*name, "shortest"): f"{min(flying):.1f}", (*name, "longest"): f"{max(flying):.1f}"}
     return found

@@ -27,7 +27,6 @@ from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
 from fiplib.pilot import Circle
 from fiplib.reproduction import claims, measures
-from fiplib.reproduction.claims import Verdict
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts, Table
 from fiplib.simulate import SCENARIOS, Scenario, fly
@@ -157,10 +156,10 @@ def _ledger(scenario: Scenario) -> dict[str, float]:
     for id in (*NEEDED, *ALSO):
         claim = claims.BY_ID[id]
         if claim.bags == (scenario.name,):
-            found = (
-                claim.judge(claim.paper, flight) if flight.survived else claims.Finding(math.nan, Verdict.NOT, "fell")
-            )
-            row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
+            row |= {id: math.nan, f"holds_{id}": 0}
+            if flight.survived:
+                found = claim.judge(claim.paper, flight)
+                row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
     return row
 
 
@@ -170,7 +169,7 @@ def table7_weights(rows: Rows) -> Table:
     conditions = {
         "linear loop stable, every start": lambda row: row["linear"] == 1,
         "every start flies": lambda row: row["starts"] == 3,
-        **{f"{id} holds": lambda row, id=id: row[f"holds_{id}"] == 1 for id in ("D1", "D2", "D3", "C1", "C2.gain")},
+        **{f"{id} holds": lambda row, id=id: row[f"holds_{id}"] == 1 for id in NEEDED},
         "all of these": lambda row: row["passes"] == 1,
         "C2.delay holds": lambda row: row["holds_C2.delay"] == 1,
         "C2.delay and C2.gain": lambda row: row["holds_C2.delay"] == 1 and row["holds_C2.gain"] == 1,
@@ -186,13 +185,11 @@ def table7_weights(rows: Rows) -> Table:
 
 def facts(rows: Rows) -> Facts:
     """Return how many candidates pass, as the report states."""
-    found: Facts = {}
     alike = [row for row in rows if row["y_share"] == 1.0]
     both = [row for row in alike if row["holds_C2.gain"] == 1 and 1 in (row["holds_C2.y"], row["holds_C2.delay"])]
-    found |= {
+    return {
         ("candidates",): f"{len(alike)}",
         ("stable",): f"{sum(row['linear'] == 1 for row in alike)}",
         ("pass",): f"{sum(row['passes'] == 1 for row in alike)}",
         ("both",): f"{len(both)}",
     }
-    return found
