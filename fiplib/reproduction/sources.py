@@ -1,8 +1,9 @@
 """The sources of a figure, table or claim: bags, and the finished tables of studies and benchmarks, read from disk."""
 
 import csv
+import io
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,6 +100,13 @@ def _number(value: str) -> float | str:
         return float(value)
     except ValueError:
         return value
+
+
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
+    """Rows as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def quantities(path: Path) -> Quantities:

@@ -105,7 +105,7 @@ def sweep(
         dynamic_ncols=True,
         mininterval=0.2 if sys.stderr.isatty() else 30.0,  # a log file is not flooded
     )
-    with bar, contextlib.closing(journal):
+    with bar:
         submit(list(itertools.islice(waiting, AHEAD)))
         alone = False
         while running:
