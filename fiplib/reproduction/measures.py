@@ -155,5 +155,5 @@ def jumps(flight: Flight) -> list[Jump]:
 
 
 def rms(values: NDArray) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    """Root of the mean square; nan of no values."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
