@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING
 from fiplib.params import FipError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from fiplib.recording import Flight
-    from fiplib.reproduction.tables import Table
 
 Rows = list[dict[str, float | str]]
 """A finished table of a study: one dictionary per case, numbers as float."""
@@ -81,8 +78,8 @@ class Product(Sources):
     address: str
     parts: tuple[str, ...] = ()
 
-    def load(self) -> "Callable[..., Figure | Table]":
-        """Import the function."""
+    def load(self) -> Callable:
+        """Import the function, which returns a ``Figure`` or a ``Table``."""
         return pkgutil.resolve_name(self.address)
 
 
