@@ -166,9 +166,8 @@ def table6_readings(default: Rows, readings: Rows) -> Table:
             mean, deviation, error = NONE, NONE, NONE
             if lengths.size:
                 mean, deviation = f"{lengths.mean():.3f}", f"{lengths.std(ddof=1):.3f}"
-                error = (
-                    f"{measures.rms([row['final_error'] for row in flown if math.isfinite(row['final_error'])]):.3f}"
-                )
+                errors = [row["final_error"] for row in flown if math.isfinite(row["final_error"])]
+                error = f"{measures.rms(errors):.3f}"
             up, held = sum(row["survived"] for row in flown), _share([row["holds_final_length"] for row in flown])[1]
             lines.append((variant, scenario[-3:], f"{len(flown)}", f"{up:g}", mean, deviation, error, held))
     header = ("Reading", "$l_0$ (m)", "Flights", "Up", "Mean (m)", "SD (m)", "RMSE (m)", "Row holds")
