@@ -40,7 +40,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     _usable_streams()
-    signal.signal(signal.SIGTERM, _terminated)
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
 
 
@@ -109,10 +109,6 @@ def _discard_output() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _terminated(number: int, frame: object) -> None:
-    raise SystemExit(128 + number)  # leaves every ``with`` block in good order
 
 
 if __name__ == "__main__":
