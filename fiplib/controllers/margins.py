@@ -60,11 +60,9 @@ class LinearLoop:
     """One axis from control tick to control tick: plant (6), the observer's last positions (2) and velocities (2),
     and the commands under way.
 
-    Attributes:
-        open_loop: from the commanded body rate to the controller's answer to it, sign reversed: L(z).
-        step: control period in s.
-        gain: K (5,) of u = -K (s, s', d, d', tilt).
-        sees: what the controller takes for (s, s', d, d', tilt), (5, n) from the loop's n states.
+    ``open_loop`` is L(z), from the commanded body rate to the controller's answer to it, sign reversed; ``step`` the
+    control period in s; ``gain`` K (5,) of u = -K (s, s', d, d', tilt), and ``sees`` (5, n) what the controller takes
+    for these from the loop's n states.
     """
 
     open_loop: control.StateSpace
@@ -93,29 +91,20 @@ class LinearLoop:
         """Frequency of that mode, rad/s; 0 if it does not oscillate."""
         return abs(float(np.angle(self.eigenvalues[0]))) / self.step
 
-    def response(self) -> tuple[NDArray, NDArray]:
-        """Frequencies (n,) in rad/s and L there (n,), complex."""
-        omega = np.geomspace(SLOWEST, 0.999 * math.pi / self.step, FREQUENCIES)
-        return omega, self.open_loop(np.exp(1j * omega * self.step), squeeze=True)
-
     @functools.cached_property
     def margins(self) -> Margins:
         """Margins of the loop broken at the input."""
         if self.spectral_radius >= 1.0:
             return UNSTABLE
-        omega, loop = self.response()
-        gains, phases, _, _, crossings, _ = control.stability_margins(
-            control.frd(loop, omega, smooth=True), returnall=True
-        )
+        omega = np.geomspace(SLOWEST, 0.999 * math.pi / self.step, FREQUENCIES)
+        loop = self.open_loop(np.exp(1j * omega * self.step), squeeze=True)
+        smooth = control.frd(loop, omega, smooth=True)
+        gains, phases, _, _, crossings, _ = control.stability_margins(smooth, returnall=True)
         lag = np.radians(np.mod(phases, 360.0)) / crossings  # further delay turns the response one way only
         # as control.disk_margins, from the response at hand: 2 / |S - T| with S - T = (1 - L) / (1 + L)
         disk = 2.0 * np.abs((1.0 + loop) / (1.0 - loop)).min()
-        return Margins(
-            float(gains[gains < 1.0].max(initial=0.0)),
-            float(gains[gains > 1.0].min(initial=math.inf)),
-            float(lag.min(initial=math.inf)),
-            float(disk),
-        )
+        low, high = gains[gains < 1.0].max(initial=0.0), gains[gains > 1.0].min(initial=math.inf)
+        return Margins(float(low), float(high), float(lag.min(initial=math.inf)), float(disk))
 
     def pendulum_share(self) -> tuple[float, float]:
         """Factors between which the gains of d and d' alone may lie, the others left as they are: (low, high).

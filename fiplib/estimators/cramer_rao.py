@@ -175,13 +175,12 @@ def _step(params: Params, period: float) -> tuple[ca.Function, ca.Function]:
 
 def _changed(params: Params, name: str, change: float) -> Params:
     """The parameters with one of them a little larger (past what ``Params.replace`` would let a user ask for)."""
+    pendulum, simulation = params.pendulum, params.simulation
     if name == "rate_lag":
-        return replace(params, simulation=replace(params.simulation, rate_lag=params.simulation.rate_lag + change))
-    pendulum = params.pendulum
-    if name == "length":
-        return replace(params, pendulum=replace(pendulum, length=pendulum.length + change))
+        return replace(params, simulation=replace(simulation, rate_lag=simulation.rate_lag + change))
     ratio = 0.25 / (pendulum.inertia_factor + change) - 0.25
-    return replace(params, pendulum=replace(pendulum, gyration_ratio=ratio))
+    changed = {"length": pendulum.length + change} if name == "length" else {"gyration_ratio": ratio}
+    return replace(params, pendulum=replace(pendulum, **changed))
 
 
 def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray:

@@ -14,10 +14,10 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
 from types import FrameType
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -125,7 +125,7 @@ def decode(data: bytes) -> Setpoint:
     return Setpoint(stamp, armed, MODES[mode], np.array(rates), thrust, None, (roll, pitch))
 
 
-class Sender:
+class Sender(AbstractContextManager):
     """Sends setpoints from its own process; a context manager.
 
     Args:
@@ -148,29 +148,22 @@ class Sender:
         # a daemon is terminated and waited for when this process exits, and leaves in good order then
         self._process = SPAWN.Process(target=_serve, args=task, name="fip-sender", daemon=True)
         self._process.start()
+        self.pid: int = self._process.pid or 0  # never 0: it is started
         receiver.close()
         status.close()
         os.set_blocking(self._setpoints.fileno(), False)  # a message is shorter than PIPE_BUF: whole or not at all
         try:
             if not self._status.poll(START_TIME):
+                self._process.kill()
                 raise SenderError(f"the command sender has not started within {START_TIME:g} s")
             fault, self.counts = self._status.recv()
         except (EOFError, OSError) as error:
             code = self._process.exitcode
             raise SenderError(f"the command sender ended while starting (exit code {code})") from error
-        except SenderError:
-            self._process.kill()
-            raise
         if fault is not None:
             self._process.join(1.0)
             raise SenderError(fault)
         self._reported = time.monotonic()
-
-    @property
-    def pid(self) -> int:
-        """The sender's process id."""
-        assert self._process.pid is not None
-        return self._process.pid
 
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
@@ -222,9 +215,6 @@ class Sender:
         self._closed = True
         self._setpoints.close()
         self._status.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -280,11 +270,12 @@ def _serve(
     signal.signal(signal.SIGTERM, _terminate)
     urgent(3)
     server = _Server(open_sink, DeadMan(params, limits), limits, status)
+    if not server.open():
+        return
     try:
-        if server.open():
-            gc.freeze()
-            gc.disable()
-            server.run(receiver)
+        gc.freeze()
+        gc.disable()
+        server.run(receiver)
     except (SystemExit, EOFError, OSError):
         pass  # the other side is gone, or wants us gone
     finally:
@@ -299,7 +290,6 @@ class _Server:
         self._counts = Counts()
         self._trouble: str | None = None
         self._tried = self._reported = 0
-        self._started = False
         os.set_blocking(status.fileno(), False)  # nobody may be reading any more
 
     def open(self) -> bool:
@@ -308,8 +298,7 @@ class _Server:
         except Exception as error:  # whatever a device raises
             self._trouble = str(error) or type(error).__name__
         self._report()
-        self._started = self._sink is not None
-        return self._started
+        return self._sink is not None
 
     def run(self, receiver: Connection) -> None:
         due = time.monotonic_ns()
@@ -330,8 +319,6 @@ class _Server:
                 self._report()
 
     def leave(self) -> None:
-        if not self._started:
-            return
         end = time.monotonic() + self._leave_time
         while time.monotonic() < end:
             self._send(disarmed(time.monotonic_ns()), True)

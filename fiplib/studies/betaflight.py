@@ -1,13 +1,7 @@
 """Betaflight's own firmware as the inner loop of the simulated vehicle, beside the delay-and-lag model.
 
-    fip firmware install
-    fip firmware step
-    fip firmware fly
-    fip firmware push --output firmware-push
-    fip firmware settings
-
-`install` builds Betaflight 4.6.0 for this computer (SITL), unmodified, into a side environment, .venv-betaflight; it
-needs gcc, make and the package index. The firmware is under the GNU GPL, stays there, and is no part of this package.
+``fip firmware install`` builds Betaflight 4.6.0 for this computer (SITL), unmodified, into a side environment,
+.venv-betaflight; it needs gcc, make and the package index. It is under the GNU GPL, and no part of this package.
 Simulated, every flight: a vehicle with motors as fiplib/flight/betaflight/airframe.py models it. Nothing here has flown
 on hardware.
 """
@@ -80,11 +74,9 @@ class Flown:
     """A flight behind the failsafe in virtual time, as seen from outside from where the vehicle flies by itself.
 
     Attributes:
-        scenario, metadata: of the flight.
-        tape: what was recorded.
-        duration: s; ``balanced``: whether the rod was up to the end; ``ended``: why the flight ended.
-        time: (n,) s, at the rate of motion capture.
-        truth: (n, 11) as ``recording.ROLES["truth_state"]``.
+        scenario, metadata, tape: what was flown, and recorded.
+        duration, balanced, ended: in s; whether the rod was up to the end; why the flight ended.
+        time, truth: (n,) s, at the rate of motion capture; (n, 11) as ``recording.ROLES["truth_state"]``.
         rates, commands: (n, 3) rad/s, each command at the frame from which on it was sent.
     """
 
@@ -119,8 +111,7 @@ class Flown:
         rows = (self.time >= start) & (self.time < stop) & self.within
         if not rows.any():
             return math.nan, math.nan, math.inf
-        time, truth = self.time[rows] - start, self.truth[rows]
-        leaning = self.lean[rows]
+        time, truth, leaning = self.time[rows] - start, self.truth[rows], self.lean[rows]
         away = truth[:, [0, 2]] - self.scenario.reference.at(self.time[rows])[:, [0, 2]]
         over = np.flatnonzero(leaning > SETTLED)
         settled = math.inf if len(over) and over[-1] == len(time) - 1 else float(time[over[-1]]) if len(over) else 0.0
@@ -159,7 +150,7 @@ def flown(scenario: Scenario, limits: Limits, link: ObservedLink, bag: Path | No
         loop.run()
     rows = np.array(link.rows).reshape(-1, 17)
     time = np.arange(len(rows)) / scenario.params.piloting.mocap_rate
-    seen = (time, rows[:, :11], rows[:, 11:14], rows[:, 14:])
+    seen = time, *np.split(rows, (11, 14), axis=1)
     return Flown(scenario, metadata, tape, loop.duration, loop.balanced, guard.ended or "", *seen)
 
 
@@ -214,13 +205,6 @@ def curves(
             hold(STEP_TIME, -rate)
 
 
-def step_of_model(params: Params, rate: float) -> NDArray:
-    """The unit step response of the delay and lag of ``simulation``."""
-    command = np.ones(round(STEP_TIME * rate) + 2)
-    command[0] = 0.0
-    return model.respond(command, 1.0 / rate, params.simulation.rate_delay, params.simulation.rate_lag)[2:]
-
-
 def fitted(curve: Curve, rate: float) -> model.Response:
     """Delay and lag of a step response, gain and misfit as shares of the step."""
     command = np.concatenate([[0.0], np.ones(len(curve.response) + 1)])
@@ -263,12 +247,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what is asked for; 1 if a rod did not stay up.
-
-    Raises:
-        FirmwareError: Betaflight cannot be built, started or armed.
-        ValueError, BagError, OSError: an option makes no sense, or an output cannot be written.
-    """
+    """Do what is asked for; 1 if a rod did not stay up. Raises FirmwareError: Betaflight cannot be built or started."""
     return {"install": install, "step": step, "push": push, "fly": fly, "settings": settings}[options.action](options)
 
 
@@ -320,30 +299,25 @@ def step(options: argparse.Namespace) -> int:
     print("Rate loop of Betaflight 4.6.0 (SITL) on the modelled vehicle, from the arrival of a command. Simulated.")
     print("                 response, ms          over-  settled  best delay and lag, ms       misfit")
     print("step            10 %   63 %   90 %  shoot  to 5 %   delay    lag   sum   gain    rms")
-    for curve in made:
-        shape = model.step_shape(np.arange(1, len(curve.response) + 1) / rate, curve.response / curve.size)
-        show(f"{AXES[curve.axis]:5} {math.degrees(curve.size):4.0f} deg/s", shape, fitted(curve, rate))
-    unit = step_of_model(params, rate)
-    shape = model.step_shape(np.arange(1, len(unit) + 1) / rate, unit)
-    show("delay and lag", shape, fitted(Curve(0, 1.0, unit), rate))
-    print(
-        f"delay and lag: the inner loop of fiplib/simulate.py, {1e3 * simulation.rate_delay:g} ms and "
-        f"{1e3 * simulation.rate_lag:g} ms"
-    )
+    command = np.concatenate([[0.0], np.ones(round(STEP_TIME * rate) + 1)])
+    unit = model.respond(command, 1.0 / rate, simulation.rate_delay, simulation.rate_lag)[2:]
+    time = np.arange(1, len(unit) + 1) / rate
+    names = [f"{AXES[curve.axis]:5} {math.degrees(curve.size):4.0f} deg/s" for curve in made]
+    for name, curve in zip([*names, "delay and lag"], [*made, Curve(0, 1.0, unit)], strict=True):
+        shape, best = model.step_shape(time, curve.response / curve.size), fitted(curve, rate)
+        reached = f"{1e3 * shape.t10:6.1f} {1e3 * shape.t63:6.1f} {1e3 * shape.t90:6.1f} {100 * shape.overshoot:5.0f} %"
+        print(
+            f"{name:14}{reached} {1e3 * shape.settled:7.0f} {1e3 * best.delay:7.1f} {1e3 * best.lag:6.1f}"
+            f" {1e3 * (best.delay + best.lag):5.1f} {best.gain:6.2f} {100 * best.residual:5.1f} %"
+        )
+    lags = f"{1e3 * simulation.rate_delay:g} ms and {1e3 * simulation.rate_lag:g} ms"
+    print(f"delay and lag: the inner loop of fiplib/simulate.py, {lags}")
     if options.output is not None:
         header = ["time s", *(f"{AXES[c.axis]} {math.degrees(c.size):g} deg/s" for c in made), "delay and lag"]
-        columns = [np.arange(1, len(unit) + 1) / rate, *(c.response / c.size for c in made), unit]
+        columns = [time, *(c.response / c.size for c in made), unit]
         np.savetxt(options.output, np.column_stack(columns), "%.6g", ",", header=",".join(header), comments="")
         print(f"wrote {options.output}: each response as a share of its step")
     return 0
-
-
-def show(name: str, shape: model.Step, best: model.Response) -> None:
-    print(
-        f"{name:14}{1e3 * shape.t10:6.1f} {1e3 * shape.t63:6.1f} {1e3 * shape.t90:6.1f} {100 * shape.overshoot:5.0f} %"
-        f" {1e3 * shape.settled:7.0f} {1e3 * best.delay:7.1f} {1e3 * best.lag:6.1f}"
-        f" {1e3 * (best.delay + best.lag):5.1f} {best.gain:6.2f} {100 * best.residual:5.1f} %"
-    )
 
 
 def fly(options: argparse.Namespace) -> int:
@@ -392,9 +366,8 @@ def push(options: argparse.Namespace) -> int:
     print(f"{scenario.description}. Simulated, behind the failsafe, on both inner loops.")
     row("", ["Betaflight", "delay+lag"])
     row("rod up to the end", ["yes" if flight.balanced else "NO" for flight in flights])
-    for one, stop in zip(
-        scenario.pushes, [*(one.start for one in scenario.pushes[1:]), scenario.duration], strict=True
-    ):
+    stops = [*(one.start for one in scenario.pushes[1:]), scenario.duration]
+    for one, stop in zip(scenario.pushes, stops, strict=True):
         lean, distance, settled = zip(*(flight.after_push(one.start, stop) for flight in flights), strict=True)
         size = f"{1e3 * math.hypot(*one.impulse):.1f} mN s at {one.start:g} s"
         row(f"{size}: lean, mm", [1e3 * value for value in lean], ".0f")

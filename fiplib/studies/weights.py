@@ -73,17 +73,12 @@ def cases() -> list[dict]:
     """All candidates, with their weights."""
     control = Params().control
     default = (*(control.state_weights[state] for state in (X, X_DOT, A, A_DOT)), control.input_weights[0])
-    known = [
-        (*default, control.state_weights[Y] / control.state_weights[X]),
-        (10.0, 1.0, 500.0, 20.0, 0.1, 1.0),
-        (*default, 1.0),
-    ]
+    share = control.state_weights[Y] / control.state_weights[X]
+    known = [(*default, share), (10.0, 1.0, 500.0, 20.0, 0.1, 1.0), (*default, 1.0)]
     low, high = np.log(list(RANGES.values())).T
     drawn = np.exp(np.random.default_rng(SEED).uniform(low, high, size=(CANDIDATES - len(known), len(RANGES))))
     candidates = [*known, *((*(float(f"{weight:.3g}") for weight in row), 1.0) for row in drawn)]
-    return [
-        {"candidate": number, **dict(zip(COLUMNS, weights, strict=True))} for number, weights in enumerate(candidates)
-    ]
+    return [dict(zip((*KEYS, *COLUMNS), (number, *each), strict=True)) for number, each in enumerate(candidates)]
 
 
 def run(case: dict) -> dict[str, float | int | str]:
@@ -142,8 +137,7 @@ def _starts(params: Params) -> dict[str, float]:
     for start in STARTS:
         if start != params.pendulum.length:
             flown = params.replace(piloting__initial_length=start)
-            scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
-            flight = fly(scenario)
+            flight = fly(Scenario("start", "", START_SECONDS, Circle(0.4, 8.0), params=flown, seed=SEED))
             up += flight.survived
             leans.append(float(measures.lean(flight).max()))
     return {"starts": up, "start_lean": max(leans)}

@@ -3,14 +3,13 @@
 import base64
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from string import Template
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.animation import AbstractMovieWriter, FuncAnimation
+from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -36,9 +35,14 @@ def animation(flight: Flight, frames_per_second: float = 10.0) -> FuncAnimation:
     Only the two motion-capture poses are needed; the length is drawn where the flight carries one. The animation runs
     in real time; its ``save`` makes a film. Raises ValueError: ``frames_per_second`` is not a positive number.
     """
+    figure, show, times = _staged(flight, frames_per_second)
+    return FuncAnimation(figure, show, frames=times, interval=1e3 / frames_per_second, cache_frame_data=False)
+
+
+def _staged(flight: Flight, frames_per_second: float) -> tuple[Figure, Callable[[float], list], NDArray]:
+    """The figure, what moves it to a time, and the times (n,) of its frames, s."""
     if not 0 < frames_per_second < np.inf:
         raise ValueError(f"frames_per_second must be a number > 0, not {frames_per_second!r}")
-    times = np.arange(0.0, flight.duration + 1e-9, 1.0 / frames_per_second)
     with mpl.rc_context(LOOK):
         figure = Figure(figsize=(6.4, 3.3), dpi=80)
         FigureCanvasAgg(figure)
@@ -52,21 +56,25 @@ def animation(flight: Flight, frames_per_second: float = 10.0) -> FuncAnimation:
             cursor.set_xdata([time, time])
         return [*scene.show(time), *cursors]
 
-    return FuncAnimation(figure, show, frames=times, interval=1e3 / frames_per_second, cache_frame_data=False)
+    return figure, show, np.arange(0.0, flight.duration + 1e-9, 1.0 / frames_per_second)
 
 
 def player(flight: Flight, frames_per_second: float = 10.0, dots_per_inch: float = 90.0) -> str:
     """``animation`` as a piece of HTML with a button and a slider, which plays by itself.
 
     Everything is inside: no film codec, and no icons from the network, which matplotlib's own player fetches. A frame
-    takes about 15 kB. Raises ValueError as ``animation``.
+    takes about 15 kB: few colours, a quarter of the size. Raises ValueError as ``animation``.
     """
-    made, writer = animation(flight, frames_per_second), _Frames(fps=frames_per_second)
-    with mpl.rc_context(LOOK):
-        made.save("frames", writer=writer, dpi=dots_per_inch)
-    name = "flight-" + hashlib.sha256("".join(writer.frames).encode()).hexdigest()[:12]
-    frames, last = json.dumps(writer.frames), len(writer.frames) - 1
-    return PLAYER.substitute(NAME=name, FRAMES=frames, LAST=last, FPS=writer.fps)
+    (figure, show, times), frames = _staged(flight, frames_per_second), list[str]()
+    for time in times:
+        show(time)
+        whole, small = BytesIO(), BytesIO()
+        with mpl.rc_context(LOOK):
+            figure.savefig(whole, dpi=dots_per_inch)
+        Image.open(whole).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        frames.append(base64.b64encode(small.getvalue()).decode())
+    name = "flight-" + hashlib.sha256("".join(frames).encode()).hexdigest()[:12]
+    return PLAYER.substitute(NAME=name, FRAMES=json.dumps(frames), LAST=len(frames) - 1, FPS=frames_per_second)
 
 
 PLAYER = Template("""<div id="$NAME" style="max-width: 100%">
@@ -93,23 +101,6 @@ PLAYER = Template("""<div id="$NAME" style="max-width: 100%">
 })(50);
 </script>
 """)
-
-
-class _Frames(AbstractMovieWriter):
-    """Keeps the pictures as PNG in base64, with few colours: a quarter of the size."""
-
-    def setup(self, fig: Figure, outfile: str, dpi: float | None = None) -> None:
-        super().setup(fig, outfile, dpi)
-        self.frames: list[str] = []
-
-    def grab_frame(self, **_: Any) -> None:
-        whole, small = BytesIO(), BytesIO()
-        self.fig.savefig(whole, dpi=self.dpi)
-        Image.open(whole).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
-        self.frames.append(base64.b64encode(small.getvalue()).decode())
-
-    def finish(self) -> None:
-        pass
 
 
 def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, scale: float = 1.0) -> list[NDArray]:
@@ -182,7 +173,7 @@ def _frame(axes: Axes3D, points: NDArray) -> float:
     return float(floor)
 
 
-def _instruments(panels: Iterable[Axes], flight: Flight) -> list:
+def _instruments(panels: Sequence[Axes], flight: Flight) -> list:
     """Offset of the rod above, length in use below; returns the cursors."""
     above, below = panels
     times, seat, com = _joined(flight)
@@ -204,6 +195,6 @@ def _instruments(panels: Iterable[Axes], flight: Flight) -> list:
     below.margins(y=0.35)
     below.legend(loc="upper right")
     below.set_xlabel("time (s)")
-    for axes in (above, below):
+    for axes in panels:
         axes.set_xlim(0, flight.duration)
-    return [axes.axvline(0.0, color=GREY, lw=0.8) for axes in (above, below)]
+    return [axes.axvline(0.0, color=GREY, lw=0.8) for axes in panels]

@@ -52,15 +52,10 @@ class WindowFit:
 
 
 class Picture:
-    """A figure in a page: a canvas to zoom and turn where ipympl's backend is active, else an image.
-
-    Attributes:
-        figure: draw into it, then call ``show``.
-        widget: what the page displays.
-    """
+    """A figure in a page, width and height in inches: a canvas to zoom and turn where ipympl's backend is active, else
+    an image. Draw into ``figure``, then call ``show``; the page displays ``widget``."""
 
     def __init__(self, width: float, height: float) -> None:
-        """Width and height in inches."""
         with mpl.rc_context(STYLE):
             self.figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
         self.figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - TOOLBAR / height))
@@ -105,7 +100,15 @@ def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom:
         panels[0].set_ylabel("vehicle (m)")
         _states(panels[1], flight, ("a", "b"), 100.0, "rod's COM (cm)")
         _states(panels[2], flight, ("phi", "theta"), math.degrees(1), "tilt (deg)")
-        _commands(panels[3], flight)
+        panels[3].set_ylabel("rates (deg/s)")
+        if flight.command is None:
+            panels[3].set_yticks([])
+            _instead(panels[3], "no commands in this bag")
+        else:
+            time = flight.time(flight.command)
+            for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
+                rate = np.degrees(flight.command.column(name))
+                panels[3].plot(time, rate, color=colour, lw=0.5, alpha=0.8, label=label)
         for axes in panels:
             axes.axvspan(*span, color=GREY, alpha=0.15, lw=0)
             for event in flight.events[:50]:
@@ -128,9 +131,8 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
             axes.plot(*pendulum.position.T, color=ORANGE, label="rod's COM")
             at = np.linspace(0, len(vehicle.stamp) - 1, SNAPSHOTS).round().astype(int)
             other = np.searchsorted(pendulum.stamp, vehicle.stamp[at]).clip(max=len(pendulum.stamp) - 1)
-            for shade, seat, middle in zip(
-                np.linspace(0.2, 1.0, SNAPSHOTS), vehicle.position[at], pendulum.position[other], strict=True
-            ):
+            shades, rods = np.linspace(0.2, 1.0, SNAPSHOTS), (vehicle.position[at], pendulum.position[other])
+            for shade, seat, middle in zip(shades, *rods, strict=True):
                 axes.plot(*np.array([seat, 2 * middle - seat]).T, color="black", lw=1.0, alpha=shade)  # tip: COM again
             axes.legend(loc="upper left", frameon=False)
         axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", zlabel="$z$ (m)")
@@ -164,7 +166,7 @@ def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], trut
             words = "press Refit" if flight.command is not None else "no commands, no refit"
             for axes in (left, middle, right):
                 axes.set(xticks=[], yticks=[])
-            left.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=left.transAxes)
+            _instead(left, words)
         if truth is not None and refits:
             for line in (left.axvline, middle.axhline, right.axhline):
                 line(truth, color="black", lw=0.7, ls="--", label="stated by the bag")
@@ -222,15 +224,8 @@ def _states(axes: Axes, flight: Flight, names: tuple[str, str], scale: float, la
     axes.set_ylabel(label)
 
 
-def _commands(axes: Axes, flight: Flight) -> None:
-    axes.set_ylabel("rates (deg/s)")
-    if flight.command is None:
-        axes.text(0.5, 0.5, "no commands in this bag", color=GREY, ha="center", va="center", transform=axes.transAxes)
-        axes.set_yticks([])
-        return
-    for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
-        rate = np.degrees(flight.command.column(name))
-        axes.plot(flight.time(flight.command), rate, color=colour, lw=0.5, alpha=0.8, label=label)
+def _instead(axes: Axes, words: str) -> None:
+    axes.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=axes.transAxes)
 
 
 def _within(flight: Flight, body: Poses, span: tuple[float, float]) -> Poses:

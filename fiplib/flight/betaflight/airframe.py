@@ -72,11 +72,8 @@ class InnerLoop(Protocol):
     ) -> NDArray:
         """One period further; returns the commands of the four motors in [0, 1].
 
-        Args:
-            body_rate: (3,) rad/s.
-            specific_force: (3,) m/s^2, what an accelerometer shows: +g upwards at rest.
-            attitude: quaternion (x, y, z, w).
-            channels: 16 values of 11 bits as a CRSF receiver gives them, or ``None`` when no frame has come.
+        Body rate (3,) in rad/s; specific force (3,) in m/s^2, what an accelerometer shows: +g upwards at rest; attitude
+        as quaternion (x, y, z, w); 16 channels of 11 bits as a CRSF receiver gives them, ``None``: no frame has come.
         """
         ...
 
@@ -131,8 +128,7 @@ def motor_plant(params: Params, airframe: Airframe) -> ca.Function:
 
         J omega' = tau - omega x J omega.
 
-    Returns:
-        CasADi function (x (23,), motor commands (4,), force (3,) N on the rod's COM) -> x'.
+    Returns (x (23,), motor commands (4,), force (3,) N on the rod's COM) -> x'.
     """
     x, command, force = ca.SX.sym("x", 23), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     rate, speed = x[PLANT["body_rate"]], x[SPEEDS]
@@ -162,11 +158,7 @@ def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
 class MotorPlant(Plant):
     """``simulate.Plant`` with motors and a firmware, commanded by channels; held in place until the motors carry it.
 
-    Args:
-        params, position, lean: as ``simulate.Plant``; the vehicle is held at ``position``.
-        inner: the inner loop.
-        airframe: inertia and motors.
-        idle: the 16 channels from the start on, before any command.
+    ``idle`` are the 16 channels from the start on, before any command.
 
     Attributes:
         x: (23,), the first 19 as in ``dynamics.PLANT``, then the motors' speeds.
@@ -255,11 +247,9 @@ def respond(command: NDArray, period: float, delay: float, lag: float) -> NDArra
 
 
 def fit(command: NDArray, measured: NDArray, period: float) -> Response:
-    """The delay, lag and gain that turn the command into what was measured with least squared error.
+    """The delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
 
-    Args:
-        command, measured: (n,), of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k.
-        period: s.
+    Both are of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k; period in s.
     """
 
     def error(guess: NDArray) -> NDArray:

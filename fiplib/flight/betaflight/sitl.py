@@ -50,8 +50,7 @@ class FirmwareError(FipError):
 def install(again: bool = False) -> Path:
     """Build Betaflight and the clock preloaded into it, unless both are there; the executable.
 
-    Raises:
-        FirmwareError: something needed is missing, or the build failed.
+    Raises FirmwareError: something needed is missing, or the build failed.
     """
     if not sys.platform.startswith("linux"):
         raise FirmwareError("firmware in the loop needs Linux: its clock is preloaded into the C library")
@@ -72,8 +71,8 @@ def install(again: bool = False) -> Path:
     if executable is None:
         raise FirmwareError(f"the package betaflight 0.0.6 was installed, but there is no {EXECUTABLE} in {home()}")
     if not clock().exists() or clock().stat().st_mtime < CLOCK.stat().st_mtime:
-        compiler = ("gcc", "-O2", "-shared", "-fPIC", "-o", clock(), CLOCK, "-ldl", "-lpthread")
-        call(f"compiling {CLOCK.name}", *compiler)
+        options = ("-O2", "-shared", "-fPIC", "-ldl", "-lpthread")
+        call(f"compiling {CLOCK.name}", "gcc", "-o", clock(), CLOCK, *options)
     return executable
 
 
@@ -103,15 +102,9 @@ def call(what: str, *command: object) -> None:
 class Betaflight:
     """Betaflight SITL in its own process, in lock-step with the simulation. A context manager; an ``InnerLoop``.
 
-    It is started once to be given its settings over its command line, as one would on a bench, and again to fly.
-    ``process`` is the firmware's, ``exchanges`` counts them.
-
-    Args:
-        lines: for its command line.
-        rate: exchanges per second.
-
-    Raises (on entering):
-        FirmwareError: it is not built, refuses a setting, or does not start.
+    It is started once to be given its settings, ``lines``, over its command line, as one would on a bench, and again to
+    fly with ``rate`` exchanges per second. ``process`` is the firmware's, ``exchanges`` counts them. Raises
+    FirmwareError on entering: it is not built, refuses a setting, or does not start.
     """
 
     def __init__(self, lines: Sequence[str], rate: float) -> None:
@@ -120,10 +113,9 @@ class Betaflight:
         self.process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
-        executable = find_executable()
-        if executable is None or not clock().exists():
+        self._executable = find_executable()
+        if self._executable is None or not clock().exists():
             raise FirmwareError("Betaflight is not built here; run: fip firmware install")
-        self._executable = executable
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fip-betaflight-")))
             self._motors, self._offset = free_ports()
@@ -230,10 +222,7 @@ def ask(line: socket.socket, text: str, until: bytes = b"\r\n# ") -> str:
     line.sendall((text + "\n").encode())
     answer = b""
     try:
-        while until not in answer:
-            more = line.recv(4096)
-            if not more:
-                break
+        while until not in answer and (more := line.recv(4096)):
             answer += more
     except TimeoutError:
         raise FirmwareError(f"Betaflight's command line has not answered {text!r} for {PATIENCE:g} s") from None

@@ -52,9 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fly the faults that are asked for; return 1 if one did not meet the target, else 0.
 
-    Raises:
-        ValueError: an unknown fault, or some faults alone without a table of their own.
-        JournalError, OSError: the table on disk is another, or cannot be written.
+    Raises ValueError: an unknown fault, or some faults alone without a table of their own; JournalError, OSError: the
+    table on disk is another, or cannot be written.
     """
     if options.list:
         for name, fault in FAULTS.items():
@@ -65,9 +64,8 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"no fault {unknown[0]!r}; --list lists them")
     if options.names and options.output is None:
         raise ValueError("some faults alone go to a table of their own: give --output CSV")
-    chosen = {name: FAULTS[name] for name in options.names or FAULTS}
     path = options.output or TABLE
-    fly(chosen, path, options.fresh)
+    fly({name: FAULTS[name] for name in options.names or FAULTS}, path, options.fresh)
     rows = rows_of(path)
     if options.output is None:
         PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), rows), encoding="utf-8")

@@ -126,12 +126,11 @@ def opposite(frame: Measurement) -> Measurement:
 
 def frozen(stamps: bool = False) -> Change:
     """Both poses as they were at the first frame changed; with its stamp, or with stamps that go on."""
-    kept: list[Measurement] = []
+    kept: dict[str, Measurement] = {}
 
     def change(frame: Measurement) -> Measurement:
-        kept.append(frame)
-        del kept[1:]
-        return kept[0] if stamps else kept[0]._replace(stamp=frame.stamp)
+        first = kept.setdefault("first", frame)
+        return first if stamps else first._replace(stamp=frame.stamp)
 
     return change
 

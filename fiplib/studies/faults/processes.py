@@ -56,12 +56,9 @@ ESTIMATED = ("--scenario", "estimate-1.2", "--duration", "16", "--set", "safety.
 
 @dataclass(frozen=True)
 class ProcessFault(Fault):
-    """A fault that is done to the processes of a flight in real time.
+    """A fault that is done to the processes of a flight in real time: by ``hit``, ``HIT`` s after take-off.
 
-    Attributes:
-        hit: does it, ``HIT`` s after take-off.
-        arguments: of the flight.
-        disk: bytes of the disk on which it is recorded; 0 for the usual one.
+    ``arguments`` are those of the flight, which is recorded on a disk of ``disk`` bytes; 0: on the usual one.
     """
 
     hit: Callable[["Witness"], None]
@@ -96,9 +93,7 @@ class ProcessFault(Fault):
             bag = bag_after(place / "bag", clock, bool(witness.recording))
         return self._judged(witness, began, said, process.returncode, killed, bag)
 
-    def _judged(
-        self, witness: "Witness", began: int, said: str, code: int | None, killed: bool, bag: str
-    ) -> dict[str, Any]:
+    def _judged(self, witness: "Witness", began: int, said: str, code: int, killed: bool, bag: str) -> dict[str, Any]:
         """Return the row: what does not depend on the flight's timing."""
         sent = [(at, setpoint) for at, setpoint in witness.commands if at >= began]
         commands = Commands.of(sent, Params(), Limits())
@@ -114,11 +109,8 @@ class ProcessFault(Fault):
         error = "did not end" if killed else "yes" if "Traceback" in said else "no"
         safe = error == "no" and commands.safe and "LOST" not in bag.upper()
         held, perfect = commands.disarm_seconds, self.demanded != verdict.DEAD
-        tqdm.write(
-            f"{self.what}: longest gap {commands.longest_gap:.0f} ms, {held:.2f} s disarmed, exit {code}: "
-            f"{said.strip()[-300:]}",
-            sys.stderr,
-        )
+        words = f"longest gap {commands.longest_gap:.0f} ms, {held:.2f} s disarmed, exit {code}: {said.strip()[-300:]}"
+        tqdm.write(f"{self.what}: {words}", sys.stderr)
         return self.row(
             vehicle=verdict.BALANCED if balanced else vehicle,
             ended=re.sub(r"\d+ ms old", "too old", witness.ended),
@@ -264,8 +256,7 @@ def took_off(witness: Witness, process: subprocess.Popen) -> int:
 def end_all(process: subprocess.Popen, witness: Witness) -> bool:
     """End what is left of a flight; return whether its own process had to be killed."""
     left = process.poll() is None
-    if left:
-        process.kill()
+    process.kill()
     process.wait()
     time.sleep(0.3)
     for name, pid in witness.pids.items():
@@ -277,8 +268,8 @@ def end_all(process: subprocess.Popen, witness: Witness) -> bool:
 
 def small_disk(place: Path, size: int) -> None:
     """Mount a disk with so many bytes. Raises OSError where none can be mounted."""
-    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "fip", str(place)]
-    mounted = subprocess.run(command, capture_output=True, text=True, check=False)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "fip", str(place)]
+    mounted = subprocess.run(mount, capture_output=True, text=True, check=False)
     if mounted.returncode:
         raise OSError(f"no small disk can be mounted here: {mounted.stderr.strip()}")
 

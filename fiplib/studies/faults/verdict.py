@@ -34,12 +34,9 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """One row of the table.
+    """One row of the table, in a ``group`` of the page; ``what`` is injected, in words.
 
-    Attributes:
-        group: of the page.
-        what: is injected, in words.
-        demanded: the limit, or the person, that demands to give the rod up; empty if nothing does.
+    ``demanded``: the limit, or the person, that demands to give the rod up; empty if nothing does.
     """
 
     group: str
@@ -77,15 +74,9 @@ class Commands(NamedTuple):
         rates, thrust = np.abs(numbers[:, :3]), numbers[:, 3]
         within = (rates <= params.vehicle.max_body_rate).all(1) & (thrust >= 0.0) & (thrust <= limits.safety.max_thrust)
         not_finite = int((~np.isfinite(numbers)).any(1).sum())
-        last_armed = max(now for now, setpoint in sent if setpoint.armed)
-        return cls(
-            len(sent),
-            not_finite,
-            int((~within).sum()) - not_finite,
-            last_armed,
-            times[times > last_armed],
-            float(np.diff(times).max()) / 1e6,
-        )
+        beyond = int((~within).sum()) - not_finite
+        last_armed, gap = max(now for now, setpoint in sent if setpoint.armed), float(np.diff(times).max()) / 1e6
+        return cls(len(sent), not_finite, beyond, last_armed, times[times > last_armed], gap)
 
     @property
     def disarm_seconds(self) -> float:
@@ -114,13 +105,10 @@ def given_up(truth: NDArray, floor: float) -> str:
 def judge(safe: bool, balanced: bool, level: bool, perfect: bool, gaps: bool | None, demanded: str) -> str:
     """Say whether a flight met the target, and in which way. A flight that did not is named as such.
 
-    Args:
-        safe: no exception, all commands within bounds, disarmed at the end, the bag readable.
-        balanced: the rod stood to the end.
-        level: the motors were stopped with less than ``LEVEL`` of tilt.
-        perfect: a controller with perfect information keeps the rod.
-        gaps: whether it does so with the same gaps in its poses or commands; ``None`` if there were none.
-        demanded: who or what demands to give the rod up, if anything.
+    ``safe``: no exception, all commands within bounds, disarmed at the end, the bag readable; ``balanced``: the rod
+    stood to the end; ``level``: the motors were stopped with less than ``LEVEL`` of tilt; ``perfect``: a controller
+    with perfect information keeps the rod, and with the same ``gaps`` in its poses or commands (``None``: there were
+    none); ``demanded``: who or what demands to give the rod up, if anything.
     """
     if not safe:
         return "NOT MET: exception, command, disarming or bag"
