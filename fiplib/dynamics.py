@@ -146,10 +146,13 @@ def coupled_plant(params: Params) -> ca.Function:
     total = thrust * body_z(attitude) + force + m_p * r * ca.sumsqr(q_dot) * q - factor * across(force)
     alpha = (total + m_p * factor / (m + m_p * (1 - factor)) * across(total)) / (m + m_p)
     q_ddot = -ca.sumsqr(q_dot) * q - factor / r * across(alpha - force / m_p)
+    # the product of quaternions attitude * (omega, 0) / 2, omega in the body frame
+    vector, w = attitude[:3], attitude[3]
+    attitude_rate = ca.vertcat(w * body_rate + ca.cross(vector, body_rate), -ca.dot(vector, body_rate)) / 2
     x_dot = ca.vertcat(
         velocity,
         alpha - ca.vertcat(0, 0, GRAVITY),
-        quaternion_rate(attitude, body_rate),
+        attitude_rate,
         q_dot,
         q_ddot,
         (command[:3] - body_rate) / params.simulation.rate_lag,
@@ -177,12 +180,6 @@ def inclination(direction: ArrayLike) -> float:
     """Return the angle of a direction (3,) from the vertical, rad."""
     x, y, z = (float(value) for value in direction)
     return math.atan2(math.hypot(x, y), z)
-
-
-def quaternion_rate(q: ca.SX, body_rate: ca.SX) -> ca.SX:
-    """q' = q * (omega, 0) / 2 for q = (x, y, z, w) and the angular velocity omega in the body frame."""
-    vector, w = q[:3], q[3]
-    return ca.vertcat(w * body_rate + ca.cross(vector, body_rate), -ca.dot(vector, body_rate)) / 2
 
 
 def euler_angles(q: ArrayLike) -> tuple[float, float, float]:

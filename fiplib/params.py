@@ -79,9 +79,7 @@ class Vehicle:
     mass: float = quantity(0.569, "kg", "paper, Table 1")
     max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
     seat_height: float = quantity(0.08, "m", "paper, section 3: recess above the frame; drawn, not modelled")
-    max_thrust: float = quantity(
-        32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); only scales normalised thrust"
-    )
+    max_thrust: float = quantity(32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); scales thrust")
     wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
     propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
 
@@ -175,25 +173,21 @@ class Piloting:
     rod_lengths: tuple[float, float] = quantity(
         (0.5, 1.5), "m", "our choice: trusted: shortest and longest rod to expect, `caution` deviations off the middle"
     )
-    caution: float = quantity(
-        2.0, "1", "our choice: trusted: deviations on the short side of the belief; 1 belief in 44 is shorter"
-    )
+    caution: float = quantity(2.0, "1", "our choice: trusted: deviations to the short side; 1 belief in 44 is shorter")
     outlier_gate: float = quantity(4.0, "1", "our choice: trusted: deviations from the belief that make an outlier")
-    default_deviation: float = quantity(
-        0.1, "m", "our choice: trusted: for an estimate that brings none; above the GA's scatter, 0.004 to 0.08 m rms"
-    )
+    default_deviation: float = quantity(0.1, "m", "our choice: trusted: if none is stated; above the GA's 0.08 m rms")
     shortest_survivable: float = quantity(
-        0.4, "1", "measured: trusted: least used per believed length; at 0.2 the rod falls, see studies.survival"
+        0.4, "1", "measured: trusted: least used / believed; 0.2 falls (the study survival)"
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     altitude_gains: tuple[float, float, float] = quantity(
-        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: proportional, integral, derivative", zero=True
+        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: P, I and D gain", zero=True
     )
     altitude_integral_limit: float = quantity(2.0, "m/s^2", "our choice: bound of the integral's share", zero=True)
     yaw_gains: tuple[float, float, float] = quantity(
-        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: proportional, integral, derivative", zero=True
+        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: P, I and D gain", zero=True
     )
 
 
@@ -202,15 +196,11 @@ class Simulation:
     """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
-    rate_delay: float = quantity(
-        12.5e-3, "s", "Betaflight takes 9 to 12 ms in roll and pitch (docs/firmware.md), the radio the rest", zero=True
-    )
+    rate_delay: float = quantity(12.5e-3, "s", "Betaflight's 9 to 12 ms (docs/firmware.md), and the radio's", zero=True)
     rate_lag: float = quantity(15e-3, "s", "our choice: slower than Betaflight's 9, 10, 14 ms in roll, pitch, yaw")
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
-    estimation_latency: float = quantity(
-        0.1, "s", "our choice: from the request of an estimate to its delivery", zero=True
-    )
+    estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)

@@ -69,17 +69,9 @@ def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
     vehicle, pendulum = flight.vehicle, flight.pendulum
     latest = np.searchsorted(pendulum.received, vehicle.received, side="right") - 1
     for index in np.nonzero(latest >= 0)[0]:
-        other = latest[index]
-        yield (
-            int(vehicle.received[index]),
-            Measurement(
-                int(vehicle.stamp[index]),
-                vehicle.position[index],
-                vehicle.orientation[index],
-                pendulum.position[other],
-                pendulum.orientation[other],
-            ),
-        )
+        seat = vehicle.position[index], vehicle.orientation[index]
+        rod = pendulum.position[latest[index]], pendulum.orientation[latest[index]]
+        yield int(vehicle.received[index]), Measurement(int(vehicle.stamp[index]), *seat, *rod)
 
 
 def states(flight: Flight) -> Series:
@@ -104,8 +96,8 @@ def reference(flight: Flight) -> Reference:
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
     """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
-    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError: the bag does
-    not say which reference was followed, and none is given.
+    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError as
+    ``reference``, if none is given.
     """
     pilot = Pilot(params or flight.params, follow or reference(flight))
     length = flight.length

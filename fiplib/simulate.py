@@ -308,22 +308,17 @@ class LengthUpdates:
                 level, text = self._estimator.remarks.popleft()
                 self._recorder.event(now, level, text)
                 self._say(text)
-            if estimate is not None:
-                self._estimated(now, estimate)
+            if estimate is not None and estimate.reason is None:
+                used = self._receive(now, estimate.length, estimate.standard_deviation)
+                self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
+                self.latest, self._refused = estimate, None
+            elif estimate is not None and (reason := estimate.reason) != self._refused:  # recorded once, not every run
+                self._refused = reason
+                self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
         if self._prescribed and seconds >= self._prescribed[0][0]:
             length = self._prescribed.popleft()[1]
             self._recorder.event(now, "warn", f"pilot is told the length {length:g} m", "length", {"length": length})
             self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
-
-    def _estimated(self, now: int, estimate: Estimate) -> None:
-        reason = estimate.reason
-        if reason is None:
-            used = self._receive(now, estimate.length, estimate.standard_deviation)
-            self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            self.latest = estimate
-        elif reason != self._refused:
-            self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
-        self._refused = reason
 
 
 def fly(
