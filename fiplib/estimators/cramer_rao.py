@@ -188,8 +188,7 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     position, attitude = params.simulation.position_noise, params.simulation.attitude_noise
     axes = 3 if pendulum_height else 2
     rows = np.zeros((len(states), 6 + axes, 21 + OFFSETS))
-    for axis in range(3):
-        rows[:, axis, axis] = 1 / position
+    rows[:, range(3), range(3)] = 1 / position
     for axis in range(axes):
         rows[:, 3 + axis, axis] = 1 / position
         rows[:, 3 + axis, 10 + axis] = params.pendulum.length / 2 / position

@@ -126,13 +126,9 @@ def decode(data: bytes) -> Setpoint:
 
 
 class Sender(AbstractContextManager):
-    """Sends setpoints from its own process; a context manager.
+    """Sends setpoints from its own process ``pid``; a context manager. ``open_sink`` makes the sink there; must pickle.
 
-    Args:
-        open_sink: makes the sink, in the sender's process; must pickle.
-
-    Raises:
-        SenderError: the process does not start, or the sink cannot be opened.
+    Raises SenderError: the process does not start, or the sink cannot be opened.
     """
 
     def __init__(self, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:

@@ -250,6 +250,11 @@ def _change(what: str, change: Change, seconds: float, every: int = 1, blind: bo
     return _poses(what, lambda rng: inject.changed(change, START, seconds, every), blind=gap)
 
 
+def _frozen(what: str, seconds: float, stamps: bool = False) -> VirtualFault:
+    frames, blind = lambda rng: inject.changed(inject.frozen(stamps), START, seconds), (START, START + seconds)
+    return _poses(what, frames, blind=blind)
+
+
 def _drop_out(seconds: float, scenario: Scenario = HOVER, words: str = "") -> VirtualFault:
     what = f"no poses for {_duration(seconds)}{words}"
     rule = "" if seconds <= 0.1 else POSES if seconds <= 0.5 else GONE
@@ -319,12 +324,9 @@ VIRTUAL_FAULTS = {
     "swap-once": _change("bodies swapped in one frame", inject.swapped, 0.0),
     "swap-80ms": _change("bodies swapped for 80 ms", inject.swapped, 0.08, blind=True),
     "swap-for-good": _change("bodies swapped from then on", inject.swapped, ALWAYS, blind=True),
-    "frozen-80ms": _poses("both poses frozen for 80 ms",
-                          lambda rng: inject.changed(inject.frozen(), START, 0.08), blind=(START, START + 0.08)),
-    "frozen-for-good": _poses("both poses frozen from then on",
-                              lambda rng: inject.changed(inject.frozen(), START, ALWAYS), blind=(START, START + ALWAYS)),
-    "frame-repeated": _poses("one frame again and again, with its stamp, for 80 ms",
-                             lambda rng: inject.changed(inject.frozen(stamps=True), START, 0.08), blind=(START, START + 0.08)),
+    "frozen-80ms": _frozen("both poses frozen for 80 ms", 0.08),
+    "frozen-for-good": _frozen("both poses frozen from then on", ALWAYS),
+    "frame-repeated": _frozen("one frame again and again, with its stamp, for 80 ms", 0.08, stamps=True),
     "quaternion-long": _change("vehicle's quaternion 1 % long in every third frame, 3 s",
                                inject.longer("vehicle", 1.01), 3.0, 3),
     "quaternion-zero": _change("rod's quaternion zero for 80 ms", inject.longer("pendulum", 0.0), 0.08, blind=True),
