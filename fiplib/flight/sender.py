@@ -59,17 +59,14 @@ class SenderError(FipError):
 class DeadMan:
     """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
-    Attributes:
-        fault: why it has disarmed, ``None`` before.
-        rejected: setpoints that were not finite, and so never sent.
-        clamped: setpoints that were out of bounds, and sent at the bounds.
+    ``fault`` says why it has disarmed, ``None`` before; ``rejected`` counts setpoints that were not finite, and so never
+    sent, ``clamped`` those that were out of bounds, and sent at the bounds.
     """
 
     def __init__(self, params: Params, limits: Limits) -> None:
         self._params, self._limits = params, limits
         self._newest: Setpoint | None = None
-        self._heard = 0
-        self._asked = 0
+        self._heard = self._asked = 0
         self._tilt = np.zeros(2)
         self.fault: str | None = None
         self.rejected = self.clamped = 0
@@ -134,9 +131,7 @@ class Sender(AbstractContextManager):
     def __init__(self, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
         self._open_sink, self._safety = open_sink, limits.safety
         self._fault: str | None = None
-        self._closed = False
-        self.counts = Counts()
-        self.dropped = 0
+        self._closed, self.counts, self.dropped = False, Counts(), 0
         self._rescue: threading.Thread | None = None
         receiver, self._setpoints = SPAWN.Pipe(duplex=False)
         self._status, status = SPAWN.Pipe(duplex=False)

@@ -97,11 +97,8 @@ class Explorer:
     Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
     page says another.
 
-    Attributes:
-        flight: the flight that is shown, or None.
-        refits: of this flight, in order.
-        rows: the table of results, one dictionary per estimate; lengths in m, times in s.
-        choose, look, fit, rivals, save: the panels, to be displayed.
+    Shown is ``flight``, or None; ``refits`` are those of this flight, in order, and ``rows`` is the table of results, one
+    dictionary per estimate, lengths in m, times in s. ``choose, look, fit, rivals, save`` are panels to be displayed.
     """
 
     def __init__(self, data: Path, export: Path, first: str = "estimate-1.4") -> None:

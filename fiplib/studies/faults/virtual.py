@@ -40,13 +40,8 @@ GONE = "the limit of 500 ms without poses"
 HOVER = Scenario("fault", "hover, pushed 3.5 s after the fault", 9.0, Hover(), (Push(START + 3.5, (0.004, 0.0)),))
 PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
 CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.5, ramp=2.0), pushes=(), description="circle of 0.8 m")
-ESTIMATED = Scenario(
-    "fault",
-    "circle of 0.4 m, length estimated from 1.2 m",
-    10.0,
-    Circle(0.4, 8.0),
-    params=Params().replace(piloting__initial_length=1.2, piloting__estimate=True),
-)
+UNKNOWN = Params().replace(piloting__initial_length=1.2, piloting__estimate=True)
+ESTIMATED = Scenario("fault", "circle of 0.4 m, length estimated from 1.2 m", 10.0, Circle(0.4, 8.0), params=UNKNOWN)
 PRESCRIBED = replace(CIRCLE, params=Params().replace(estimation__median_length=1))
 """The circle on which the pilot is given a length, without the median of its estimates."""
 
