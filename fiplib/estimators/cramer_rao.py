@@ -197,7 +197,6 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     # rotation vector of q^-1 dq, twice its vector part
     turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
     rows[:, 3 + axes : 6 + axes, PLANT["attitude"]] = turn.transpose(2, 0, 1)
-    for axis in range(2):
-        rows[:, 3 + axis, 21 + axis] = 1 / position
-        rows[:, 3 + axes + axis, 23 + axis] = 1 / attitude
+    rows[:, [3, 4], [21, 22]] = 1 / position
+    rows[:, [3 + axes, 4 + axes], [23, 24]] = 1 / attitude
     return rows

@@ -27,6 +27,7 @@ from fiplib.params import NANO, FipError, Params
 
 WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
+assert WIRE.size < 512  # what POSIX promises of PIPE_BUF
 MODES = list(Mode)
 LEAVE = b"leave"
 SPAWN = multiprocessing.get_context("spawn")
@@ -59,7 +60,7 @@ class SenderError(FipError):
 class DeadMan:
     """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
-    ``fault`` says why it has disarmed, ``None`` before; ``rejected`` counts setpoints that were not finite, and so never
+    ``fault`` says why it has disarmed, ``None`` before; ``rejected`` counts setpoints that were not finite, and never
     sent, ``clamped`` those that were out of bounds, and sent at the bounds.
     """
 
@@ -342,6 +343,3 @@ class _Server:
         self._counts = self._counts._replace(rejected=self._dead_man.rejected, clamped=self._dead_man.clamped)
         with suppress(OSError):  # full, or nobody there
             self._status.send((self._trouble or self._dead_man.fault, self._counts))
-
-
-assert WIRE.size < 512  # what POSIX promises of PIPE_BUF

@@ -117,7 +117,7 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
 
 
 def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
-    """Vehicle, its shadow on the floor, and rod in 3-D axes; what moves them to a time in s, and returns the artists."""
+    """Vehicle, its shadow on the floor, and rod in 3-D axes; returns what moves them to a time in s."""
     times, seats, coms = _joined(flight)
     floor = _frame(axes, np.concatenate([seats, 2 * coms - seats]))
     axes.plot(*seats[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)

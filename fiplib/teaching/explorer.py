@@ -97,7 +97,7 @@ class Explorer:
     Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
     page says another.
 
-    Shown is ``flight``, or None; ``refits`` are those of this flight, in order, and ``rows`` is the table of results, one
+    ``flight`` is shown, or None; ``refits`` are those of this flight, in order; ``rows`` is the table of results, one
     dictionary per estimate, lengths in m, times in s. ``choose, look, fit, rivals, save`` are panels to be displayed.
     """
 
@@ -146,10 +146,7 @@ class Explorer:
             self.load_bag()
 
     def take_own(self, *_: object) -> None:
-        """Load a bag by its path as soon as path or topics change.
-
-        A page may deliver the press of *Load* before the text typed just before it: then it is this that loads the bag.
-        """
+        """Load a bag by its path when path or topics change: a page may deliver the press of *Load* before the text."""
         if self.path.value.strip():
             self.load_bag()
 
