@@ -39,11 +39,9 @@ SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
 class Margins:
     """Margins of a stable loop at its input; 1, 1, 0, 0 where it is unstable.
 
-    Attributes:
-        gain_low, gain_high: factors between which the loop gain may lie; below 1 and above 1.
-        delay: additional delay in s.
-        disk: balanced disk margin alpha: gain and phase may vary together within a disk, from (2 - alpha)/(2 + alpha)
-            to its inverse in gain alone.
+    ``gain_low`` and ``gain_high`` are the factors, below and above 1, between which the loop gain may lie; ``delay`` is
+    additional delay in s, ``disk`` the balanced disk margin alpha: gain and phase may vary together within a disk, from
+    (2 - alpha)/(2 + alpha) to its inverse in gain alone.
     """
 
     gain_low: float

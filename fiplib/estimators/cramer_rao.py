@@ -188,8 +188,7 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     position, attitude = params.simulation.position_noise, params.simulation.attitude_noise
     axes = 3 if pendulum_height else 2
     rows = np.zeros((len(states), 6 + axes, 21 + OFFSETS))
-    for axis in range(3):
-        rows[:, axis, axis] = 1 / position
+    rows[:, range(3), range(3)] = 1 / position
     for axis in range(axes):
         rows[:, 3 + axis, axis] = 1 / position
         rows[:, 3 + axis, 10 + axis] = params.pendulum.length / 2 / position
@@ -198,7 +197,6 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     # rotation vector of q^-1 dq, twice its vector part
     turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
     rows[:, 3 + axes : 6 + axes, PLANT["attitude"]] = turn.transpose(2, 0, 1)
-    for axis in range(2):
-        rows[:, 3 + axis, 21 + axis] = 1 / position
-        rows[:, 3 + axes + axis, 23 + axis] = 1 / attitude
+    rows[:, [3, 4], [21, 22]] = 1 / position
+    rows[:, [3 + axes, 4 + axes], [23, 24]] = 1 / attitude
     return rows

@@ -27,6 +27,7 @@ from fiplib.params import NANO, FipError, Params
 
 WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
+assert WIRE.size < 512  # what POSIX promises of PIPE_BUF
 MODES = list(Mode)
 LEAVE = b"leave"
 SPAWN = multiprocessing.get_context("spawn")
@@ -59,17 +60,14 @@ class SenderError(FipError):
 class DeadMan:
     """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
-    Attributes:
-        fault: why it has disarmed, ``None`` before.
-        rejected: setpoints that were not finite, and so never sent.
-        clamped: setpoints that were out of bounds, and sent at the bounds.
+    ``fault`` says why it has disarmed, ``None`` before; ``rejected`` counts setpoints that were not finite, and never
+    sent, ``clamped`` those that were out of bounds, and sent at the bounds.
     """
 
     def __init__(self, params: Params, limits: Limits) -> None:
         self._params, self._limits = params, limits
         self._newest: Setpoint | None = None
-        self._heard = 0
-        self._asked = 0
+        self._heard = self._asked = 0
         self._tilt = np.zeros(2)
         self.fault: str | None = None
         self.rejected = self.clamped = 0
@@ -126,21 +124,15 @@ def decode(data: bytes) -> Setpoint:
 
 
 class Sender(AbstractContextManager):
-    """Sends setpoints from its own process; a context manager.
+    """Sends setpoints from its own process ``pid``; a context manager. ``open_sink`` makes the sink there; must pickle.
 
-    Args:
-        open_sink: makes the sink, in the sender's process; must pickle.
-
-    Raises:
-        SenderError: the process does not start, or the sink cannot be opened.
+    Raises SenderError: the process does not start, or the sink cannot be opened.
     """
 
     def __init__(self, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
         self._open_sink, self._safety = open_sink, limits.safety
         self._fault: str | None = None
-        self._closed = False
-        self.counts = Counts()
-        self.dropped = 0
+        self._closed, self.counts, self.dropped = False, Counts(), 0
         self._rescue: threading.Thread | None = None
         receiver, self._setpoints = SPAWN.Pipe(duplex=False)
         self._status, status = SPAWN.Pipe(duplex=False)
@@ -351,6 +343,3 @@ class _Server:
         self._counts = self._counts._replace(rejected=self._dead_man.rejected, clamped=self._dead_man.clamped)
         with suppress(OSError):  # full, or nobody there
             self._status.send((self._trouble or self._dead_man.fault, self._counts))
-
-
-assert WIRE.size < 512  # what POSIX promises of PIPE_BUF

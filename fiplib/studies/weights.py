@@ -84,10 +84,9 @@ def cases() -> list[dict]:
 def run(case: dict) -> dict[str, float | int | str]:
     """The score of one candidate.
 
-    Returns:
-        its weights; growth_rate (1/s), delay_margin (s) and disk_margin, each the worst over ``STARTS`` and ``RODS``;
-        linear; starts (of 3 flights, those that stay up) and start_lean (|a| or |b| at most, m); for each row of the
-        ledger its value and whether it holds, ``holds_ID``; passes. Flags are 0 or 1; NaN stands for not flown.
+    Its weights; growth_rate (1/s), delay_margin (s) and disk_margin, each the worst over ``STARTS`` and ``RODS``;
+    linear; starts (of 3 flights, those that stay up) and start_lean (|a| or |b| at most, m); for each row of the
+    ledger its value and whether it holds, ``holds_ID``; passes. Flags are 0 or 1; NaN stands for not flown.
     """
     weights = {name: case[name] for name in COLUMNS}
     params = _weighted(**weights)

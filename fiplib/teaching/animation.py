@@ -47,14 +47,14 @@ def _staged(flight: Flight, frames_per_second: float) -> tuple[Figure, Callable[
         figure = Figure(figsize=(6.4, 3.3), dpi=80)
         FigureCanvasAgg(figure)
         space = figure.add_axes((-0.01, 0.03, 0.54, 0.96), projection="3d")
-        scene = Scene(space, flight)
+        move = _scene(space, flight)
         cursors = _instruments([figure.add_axes((0.62, low, 0.36, 0.36)) for low in (0.57, 0.13)], flight)
         origin(figure, f"{flight.metadata['origin']}, {flight.path.name}", y=0.995)
 
     def show(time: float) -> list:
         for cursor in cursors:
             cursor.set_xdata([time, time])
-        return [*scene.show(time), *cursors]
+        return [*move(time), *cursors]
 
     return figure, show, np.arange(0.0, flight.duration + 1e-9, 1.0 / frames_per_second)
 
@@ -116,37 +116,33 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
     return [position + turn.apply(scale * line) for line in body]
 
 
-class Scene:
-    """Vehicle and rod of a flight in 3-D axes, and the shadow of the vehicle on the floor of the picture."""
+def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
+    """Vehicle, its shadow on the floor, and rod in 3-D axes; returns what moves them to a time in s."""
+    times, seats, coms = _joined(flight)
+    floor = _frame(axes, np.concatenate([seats, 2 * coms - seats]))
+    axes.plot(*seats[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)
+    (trail,) = axes.plot([], [], [], color=BLUE, lw=0.8, label="track")
+    (shadow,) = axes.plot([], [], [], "o", color=GREY, ms=3)
+    (rod,) = axes.plot([], [], [], color="black", lw=1.8, solid_capstyle="round", label="rod")
+    (dot,) = axes.plot([], [], [], "o", color=ORANGE, ms=3.5, label="centre of mass")
+    body = [axes.plot([], [], [], color=BLUE, lw=1.2)[0] for _ in range(6)]
+    clock = axes.text2D(0.03, 0.95, "", transform=axes.transAxes)
+    axes.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.05, 1.0))
 
-    def __init__(self, axes: Axes3D, flight: Flight) -> None:
-        self._axes, self._flight, self._vehicle = axes, flight, flight.params.vehicle
-        self._times, self._seat, self._com = _joined(flight)
-        tips = 2 * self._com - self._seat
-        self._floor = _frame(axes, np.concatenate([self._seat, tips]))
-        axes.plot(*self._seat[:, :2].T, self._floor, color=GREY, lw=0.4, alpha=0.6)
-        (self._trail,) = axes.plot([], [], [], color=BLUE, lw=0.8, label="track")
-        (self._shadow,) = axes.plot([], [], [], "o", color=GREY, ms=3)
-        (self._rod,) = axes.plot([], [], [], color="black", lw=1.8, solid_capstyle="round", label="rod")
-        (self._dot,) = axes.plot([], [], [], "o", color=ORANGE, ms=3.5, label="centre of mass")
-        self._body = [axes.plot([], [], [], color=BLUE, lw=1.2)[0] for _ in range(6)]
-        self._clock = axes.text2D(0.03, 0.95, "", transform=axes.transAxes)
-        axes.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.05, 1.0))
-
-    def show(self, time: float) -> list:
-        """Move everything to ``time`` s since the start; returns the artists that changed."""
-        index = min(int(np.searchsorted(self._times, time)), len(self._times) - 1)
-        seat, com = self._seat[index], self._com[index]
-        behind = (self._times > time - TRAIL) & (self._times <= time)
-        self._trail.set_data_3d(*self._seat[behind].T)
-        self._shadow.set_data_3d([seat[0]], [seat[1]], [self._floor])
-        self._rod.set_data_3d(*np.array([seat, 2 * com - seat]).T)
-        self._dot.set_data_3d(*com[:, None])
-        lines = vehicle_lines(seat, self._flight.vehicle.orientation[index], self._vehicle)
-        for artist, line in zip(self._body, lines, strict=True):
+    def show(time: float) -> list:
+        index = min(int(np.searchsorted(times, time)), len(times) - 1)
+        seat, com = seats[index], coms[index]
+        trail.set_data_3d(*seats[(times > time - TRAIL) & (times <= time)].T)
+        shadow.set_data_3d([seat[0]], [seat[1]], [floor])
+        rod.set_data_3d(*np.array([seat, 2 * com - seat]).T)
+        dot.set_data_3d(*com[:, None])
+        lines = vehicle_lines(seat, flight.vehicle.orientation[index], flight.params.vehicle)
+        for artist, line in zip(body, lines, strict=True):
             artist.set_data_3d(*line.T)
-        self._clock.set_text(f"{time:4.1f} s")
-        return [self._trail, self._shadow, self._rod, self._dot, *self._body, self._clock]
+        clock.set_text(f"{time:4.1f} s")
+        return [trail, shadow, rod, dot, *body, clock]
+
+    return show
 
 
 def _joined(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:

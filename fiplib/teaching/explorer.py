@@ -97,11 +97,8 @@ class Explorer:
     Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
     page says another.
 
-    Attributes:
-        flight: the flight that is shown, or None.
-        refits: of this flight, in order.
-        rows: the table of results, one dictionary per estimate; lengths in m, times in s.
-        choose, look, fit, rivals, save: the panels, to be displayed.
+    ``flight`` is shown, or None; ``refits`` are those of this flight, in order; ``rows`` is the table of results, one
+    dictionary per estimate, lengths in m, times in s. ``choose, look, fit, rivals, save`` are panels to be displayed.
     """
 
     def __init__(self, data: Path, export: Path, first: str = "estimate-1.4") -> None:
@@ -149,10 +146,7 @@ class Explorer:
             self.load_bag()
 
     def take_own(self, *_: object) -> None:
-        """Load a bag by its path as soon as path or topics change.
-
-        A page may deliver the press of *Load* before the text typed just before it: then it is this that loads the bag.
-        """
+        """Load a bag by its path when path or topics change: a page may deliver the press of *Load* before the text."""
         if self.path.value.strip():
             self.load_bag()
 

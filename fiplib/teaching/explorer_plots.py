@@ -229,8 +229,7 @@ def _instead(axes: Axes, words: str) -> None:
 
 
 def _within(flight: Flight, body: Poses, span: tuple[float, float]) -> Poses:
-    time: NDArray = flight.time(body)
-    inside = (time >= span[0]) & (time <= span[1])
+    inside = (flight.time(body) >= span[0]) & (flight.time(body) <= span[1])
     return Poses(body.stamp[inside], body.received[inside], body.position[inside], body.orientation[inside])
 
 

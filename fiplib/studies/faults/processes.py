@@ -127,10 +127,9 @@ class ProcessFault(Fault):
 class Witness(socket.socket):
     """A socket that hears every command on its way to the vehicle and every true state of it, whatever dies.
 
-    Attributes:
-        commands, truths: (time in ns, setpoint or true state (11,)).
-        pids: of the flight's processes, by name.
-        ended, recording: why the flight did not balance to its end, and why its recording stopped, if it says so.
+    ``commands`` and ``truths`` are (time in ns, setpoint or true state (11,)), ``pids`` those of the flight's
+    processes, by name; ``ended`` and ``recording`` say why the flight did not balance to its end and its recording
+    stopped, if it says so.
     """
 
     def __init__(self) -> None:

@@ -3,6 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -135,10 +136,8 @@ def modes_of(path: Sequence[Mode]) -> str:
 
 def read_back(bag: Path) -> tuple[str, Flight | None]:
     """Read a bag, or what can be recovered of it; returns "valid", "recovered" or "lost (why)", and the flight."""
-    try:
+    with suppress(bags.BagError):
         return "valid", bags.read(bag)
-    except bags.BagError:
-        pass
     try:
         with tempfile.TemporaryDirectory() as folder:
             return "recovered", bags.read(bags.recover(bag, Path(folder) / "recovered").output)

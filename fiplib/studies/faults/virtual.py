@@ -40,13 +40,8 @@ GONE = "the limit of 500 ms without poses"
 HOVER = Scenario("fault", "hover, pushed 3.5 s after the fault", 9.0, Hover(), (Push(START + 3.5, (0.004, 0.0)),))
 PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
 CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.5, ramp=2.0), pushes=(), description="circle of 0.8 m")
-ESTIMATED = Scenario(
-    "fault",
-    "circle of 0.4 m, length estimated from 1.2 m",
-    10.0,
-    Circle(0.4, 8.0),
-    params=Params().replace(piloting__initial_length=1.2, piloting__estimate=True),
-)
+UNKNOWN = Params().replace(piloting__initial_length=1.2, piloting__estimate=True)
+ESTIMATED = Scenario("fault", "circle of 0.4 m, length estimated from 1.2 m", 10.0, Circle(0.4, 8.0), params=UNKNOWN)
 PRESCRIBED = replace(CIRCLE, params=Params().replace(estimation__median_length=1))
 """The circle on which the pilot is given a length, without the median of its estimates."""
 
@@ -250,6 +245,11 @@ def _change(what: str, change: Change, seconds: float, every: int = 1, blind: bo
     return _poses(what, lambda rng: inject.changed(change, START, seconds, every), blind=gap)
 
 
+def _frozen(what: str, seconds: float, stamps: bool = False) -> VirtualFault:
+    frames, blind = lambda rng: inject.changed(inject.frozen(stamps), START, seconds), (START, START + seconds)
+    return _poses(what, frames, blind=blind)
+
+
 def _drop_out(seconds: float, scenario: Scenario = HOVER, words: str = "") -> VirtualFault:
     what = f"no poses for {_duration(seconds)}{words}"
     rule = "" if seconds <= 0.1 else POSES if seconds <= 0.5 else GONE
@@ -319,12 +319,9 @@ VIRTUAL_FAULTS = {
     "swap-once": _change("bodies swapped in one frame", inject.swapped, 0.0),
     "swap-80ms": _change("bodies swapped for 80 ms", inject.swapped, 0.08, blind=True),
     "swap-for-good": _change("bodies swapped from then on", inject.swapped, ALWAYS, blind=True),
-    "frozen-80ms": _poses("both poses frozen for 80 ms",
-                          lambda rng: inject.changed(inject.frozen(), START, 0.08), blind=(START, START + 0.08)),
-    "frozen-for-good": _poses("both poses frozen from then on",
-                              lambda rng: inject.changed(inject.frozen(), START, ALWAYS), blind=(START, START + ALWAYS)),
-    "frame-repeated": _poses("one frame again and again, with its stamp, for 80 ms",
-                             lambda rng: inject.changed(inject.frozen(stamps=True), START, 0.08), blind=(START, START + 0.08)),
+    "frozen-80ms": _frozen("both poses frozen for 80 ms", 0.08),
+    "frozen-for-good": _frozen("both poses frozen from then on", ALWAYS),
+    "frame-repeated": _frozen("one frame again and again, with its stamp, for 80 ms", 0.08, stamps=True),
     "quaternion-long": _change("vehicle's quaternion 1 % long in every third frame, 3 s",
                                inject.longer("vehicle", 1.01), 3.0, 3),
     "quaternion-zero": _change("rod's quaternion zero for 80 ms", inject.longer("pendulum", 0.0), 0.08, blind=True),
