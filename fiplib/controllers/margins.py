@@ -152,16 +152,10 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
 
 
 def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis: int = 0) -> LinearLoop:
-    """The loop of one axis when the MPC uses ``used_length`` m and the rod is ``params.pendulum``.
+    """The loop of one axis, an index into ``params.AXES``, when the MPC uses a length in m and the rod is another.
 
-    Args:
-        used_length: length l of the prediction model in m.
-        params: rod, weights, rates, delays and lags.
-        mpc: of the same weights, to be used again for another length or rod.
-        axis: index into ``params.AXES``; the two differ where their weights do.
-
-    Raises:
-        ValueError: rates that are no whole multiples of each other, or a pendulum that is not measured by position.
+    ``params`` give the rod, weights, rates, delays and lags; ``mpc`` of the same weights serves for many lengths and
+    rods. Raises ValueError: rates are no whole multiples of each other, or the pendulum is not measured by position.
     """
     if params.piloting.pendulum_measurement != "position":
         raise ValueError("the linear loop knows the reading pendulum_measurement = 'position' only")
@@ -202,18 +196,3 @@ def _observer(piloting: Piloting, size: int) -> NDArray:
         observe[velocity, [position, last, velocity]] = np.array([1.0, -1.0, 0.0]) * share * piloting.mocap_rate
         observe[velocity, velocity] = 1.0 - share
     return observe
-
-
-def stability(
-    used_length: float, true_length: float, gyration_ratio: float, params: Params | None = None, mpc: MPC | None = None
-) -> LinearLoop:
-    """The loop when the MPC uses one length and the rod has another, with k^2/l^2 = ``gyration_ratio``.
-
-    Args:
-        used_length, true_length: in m.
-        gyration_ratio: 0 is a point mass, 1/12 a uniform rod.
-        params: everything else; the defaults if none are given.
-        mpc: as in ``closed_loop``.
-    """
-    changed = {"pendulum__length": true_length, "pendulum__gyration_ratio": gyration_ratio}
-    return closed_loop(used_length, (params or Params()).replace(**changed), mpc)

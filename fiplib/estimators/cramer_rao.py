@@ -53,8 +53,7 @@ class Motion(NamedTuple):
 def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = None) -> Motion:
     """The true trajectory of a simulated flight between two times of exposure, heading along x.
 
-    Raises:
-        BagError: the flight holds no truth or no commands.
+    Raises BagError: the flight holds no truth or no commands.
     """
     if flight.truth_state is None or flight.command is None:
         raise BagError(f"{flight.path}: the bound needs the true states and the commands of a simulated flight")
@@ -76,13 +75,10 @@ def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = Non
     states[:, 10:12], states[:, 13:15] = truth[:, [A, B]] / r, truth[:, [A + 1, B + 1]] / r
     states[:, 12] = np.sqrt(1 - np.sum(states[:, 10:12] ** 2, axis=1))
     states[:, 15] = -np.sum(states[:, 10:12] * states[:, 13:15], axis=1) / states[:, 12]
-    for state, given, lag in (
-        (PLANT["body_rate"], slice(0, 3), params.simulation.rate_lag),
-        (PLANT["thrust"], slice(3, 4), params.simulation.thrust_lag),
-    ):
-        decay, source = math.exp(-period / max(lag, 1e-6)), commands[:, given].T
-        states[0, state] = source[:, 0]
-        states[1:, state] = first_order(source[:, :-1], 1 - decay, decay, start=decay * source[:, 0]).T
+    states[0, 16:] = commands[0]
+    for given, lag in ((slice(0, 3), params.simulation.rate_lag), (slice(3, 4), params.simulation.thrust_lag)):
+        decay, source = math.exp(-period / max(lag, 1e-6)), commands[:-1, given].T
+        states[1:, 16:][:, given] = first_order(source, 1 - decay, decay, start=decay * source[:, 0]).T
     chosen = (stamps >= (start_ns or stamps[0])) & (stamps <= (end_ns or stamps[-1]))
     return Motion(states[chosen], commands[chosen], period)
 
@@ -92,17 +88,10 @@ def cramer_rao(
 ) -> NDArray:
     """Smallest standard deviation in m that an unbiased estimate of the length can have, after each frame.
 
-    Args:
-        motion: the true trajectory.
-        params: the true parameters, the length among them, and the noise of motion capture.
-        nuisances: names out of ``likelihood.NUISANCES`` that are unknown too.
-        pendulum_height: whether the height of the pendulum's centre of mass is measured too.
-
-    Returns:
-        (n,): element k is the bound for the window of frames 0 to k; infinite as long as they do not fix the length.
-
-    Raises:
-        ValueError: an unknown nuisance, or no noise (the bound would be zero).
+    Element k (n,) is the bound for the window of frames 0 to k; infinite as long as they do not fix the length.
+    ``params`` are the true ones, the length among them, and the noise of motion capture; ``nuisances``, names out of
+    ``likelihood.NUISANCES``, are unknown too; with ``pendulum_height`` that of the pendulum's centre of mass is
+    measured too. Raises ValueError: an unknown nuisance, or no noise (the bound would be zero).
     """
     if unknown := set(nuisances) - set(NUISANCES):
         raise ValueError(f"unknown nuisance {', '.join(sorted(unknown))}; there are {', '.join(NUISANCES)}")
@@ -170,11 +159,9 @@ def _sensitivities(motion: Motion, params: Params, names: tuple[str, ...]) -> tu
     transition = flat.reshape(20, -1, 20).swapaxes(0, 1)
     shift = np.empty((len(transition), 20, len(names)))
     for column, name in enumerate(names):
-        ends = []
-        for change in (1e-4, -1e-4):
-            step, _ = _step(_changed(params, name, change), motion.period)
-            ends.append(np.array(step.map(states.shape[1])(states, commands, force)))
-        shift[..., column] = (ends[0] - ends[1]).T / 2e-4
+        steps = (_step(_changed(params, name, change), motion.period)[0] for change in (1e-4, -1e-4))
+        more, less = (np.array(step.map(states.shape[1])(states, commands, force)) for step in steps)
+        shift[..., column] = (more - less).T / 2e-4
     return transition, shift
 
 

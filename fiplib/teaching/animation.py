@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from io import BytesIO
+from string import Template
 from typing import Any
 
 import matplotlib as mpl
@@ -32,17 +33,8 @@ TRAIL = 2.0
 def animation(flight: Flight, frames_per_second: float = 10.0) -> FuncAnimation:
     """Vehicle, rod and track in space; offset of the rod and length in use over time, with a cursor.
 
-    Only the two motion-capture poses are needed; the length is drawn where the flight carries one.
-
-    Args:
-        flight: a recorded flight.
-        frames_per_second: of the animation, which runs in real time.
-
-    Returns:
-        The animation; its ``save`` makes a film.
-
-    Raises:
-        ValueError: ``frames_per_second`` is not a positive number.
+    Only the two motion-capture poses are needed; the length is drawn where the flight carries one. The animation runs
+    in real time; its ``save`` makes a film. Raises ValueError: ``frames_per_second`` is not a positive number.
     """
     if not 0 < frames_per_second < np.inf:
         raise ValueError(f"frames_per_second must be a number > 0, not {frames_per_second!r}")
@@ -66,35 +58,25 @@ def animation(flight: Flight, frames_per_second: float = 10.0) -> FuncAnimation:
 def player(flight: Flight, frames_per_second: float = 10.0, dots_per_inch: float = 90.0) -> str:
     """``animation`` as a piece of HTML with a button and a slider, which plays by itself.
 
-    Everything is inside: no film codec, and no icons from the network, which matplotlib's own player fetches.
-
-    Args:
-        flight: a recorded flight.
-        frames_per_second: of the animation, which runs in real time; about 15 kB each.
-        dots_per_inch: resolution of its pictures.
-
-    Raises:
-        ValueError: ``frames_per_second`` is not a positive number.
+    Everything is inside: no film codec, and no icons from the network, which matplotlib's own player fetches. A frame
+    takes about 15 kB. Raises ValueError as ``animation``.
     """
     made, writer = animation(flight, frames_per_second), _Frames(fps=frames_per_second)
     with mpl.rc_context(LOOK):
         made.save("frames", writer=writer, dpi=dots_per_inch)
     name = "flight-" + hashlib.sha256("".join(writer.frames).encode()).hexdigest()[:12]
-    values = {"NAME": name, "FRAMES": json.dumps(writer.frames), "LAST": len(writer.frames) - 1, "FPS": writer.fps}
-    page = PLAYER
-    for word, value in values.items():
-        page = page.replace(f"${word}$", str(value))
-    return page
+    frames, last = json.dumps(writer.frames), len(writer.frames) - 1
+    return PLAYER.substitute(NAME=name, FRAMES=frames, LAST=last, FPS=writer.fps)
 
 
-PLAYER = """<div id="$NAME$" style="max-width: 100%">
+PLAYER = Template("""<div id="$NAME" style="max-width: 100%">
 <img alt="animation of the flight" style="max-width: 100%; display: block">
 <button type="button" style="width: 5em">pause</button>
-<input type="range" min="0" max="$LAST$" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
+<input type="range" min="0" max="$LAST" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
 </div>
 <script>
 (function start(tries) {
-  const frames = $FRAMES$, place = document.getElementById("$NAME$");
+  const frames = $FRAMES, place = document.getElementById("$NAME");
   // JupyterLab runs this before it puts the picture on the page
   if (!place) { if (tries) setTimeout(start, 100, tries - 1); return; }
   const [picture, button, slider] = ["img", "button", "input"].map(tag => place.querySelector(tag));
@@ -106,11 +88,11 @@ PLAYER = """<div id="$NAME$" style="max-width: 100%">
   const timer = setInterval(() => {
     if (!place.isConnected) { clearInterval(timer); return; }
     if (playing) { slider.value = (+slider.value + 1) % frames.length; show(); }
-  }, 1000 / $FPS$);
+  }, 1000 / $FPS);
   show();
 })(50);
 </script>
-"""
+""")
 
 
 class _Frames(AbstractMovieWriter):
@@ -131,16 +113,9 @@ class _Frames(AbstractMovieWriter):
 
 
 def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, scale: float = 1.0) -> list[NDArray]:
-    """Two arms and four propeller circles in the world, to scale or enlarged.
+    """Two arms and four propeller circles in the world, to scale or enlarged: lines, each (n, 3) in m.
 
-    Args:
-        position: (3,) m, centre of the vehicle.
-        orientation: quaternion x, y, z, w.
-        vehicle: its wheelbase and propellers.
-        scale: by how much to enlarge it.
-
-    Returns:
-        Lines, each (n, 3) in m.
+    ``position`` (3,) in m is the centre of the vehicle, ``orientation`` its quaternion as x, y, z, w.
     """
     motors = vehicle.wheelbase / np.sqrt(8) * np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]])
     angle = np.linspace(0, 2 * np.pi, 25)
@@ -151,12 +126,7 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
 
 
 class Scene:
-    """Vehicle and rod of a flight in 3-D axes, and the shadow of the vehicle on the floor of the picture.
-
-    Args:
-        axes: three-dimensional axes.
-        flight: a recorded flight.
-    """
+    """Vehicle and rod of a flight in 3-D axes, and the shadow of the vehicle on the floor of the picture."""
 
     def __init__(self, axes: Axes3D, flight: Flight) -> None:
         self._axes, self._flight, self._vehicle = axes, flight, flight.params.vehicle
@@ -229,8 +199,7 @@ def _instruments(panels: Iterable[Axes], flight: Flight) -> list:
             below.axhline(flight.truth_length.values[-1, 0], color="black", lw=0.6, label="true length")
         below.set_ylabel("length (m)")
     else:
-        height = seat[:, 2]
-        below.plot(times, height, color=GREEN, label="height of the vehicle")
+        below.plot(times, seat[:, 2], color=GREEN, label="height of the vehicle")
         below.set_ylabel("$z$ (m)")
     below.margins(y=0.35)
     below.legend(loc="upper right")

@@ -48,8 +48,7 @@ STALE = "<div style='color: #666666; padding: 2px 14px'>The settings have change
 def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
     """Landscape, genetic algorithm and best length of a window.
 
-    Raises:
-        ValueError: as ``kalman.fitness``, or the filter overflowed at every length.
+    Raises ValueError as ``kalman.fitness``, or if the filter overflows at every length.
     """
     began, estimation = time.perf_counter(), params.estimation
     chromosome = ga.Chromosome.of(estimation)
@@ -95,10 +94,8 @@ class Panel(widgets.VBox):
 class Explorer:
     """Widgets, and what they do. Problems with a bag or a setting are text in the page (``message``, ``answer``).
 
-    Args:
-        data: folder whose bags are offered.
-        export: folder to write to, unless the page says another.
-        first: the bag that is shown first.
+    Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
+    page says another.
 
     Attributes:
         flight: the flight that is shown, or None.

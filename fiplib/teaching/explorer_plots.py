@@ -88,13 +88,9 @@ class Picture:
 
 
 def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom: bool) -> None:
-    """Position, the rod's offset, tilt and commands over time.
+    """Position, the rod's offset, tilt and commands over time; the window ``span``, in s since the start, is shaded.
 
-    Args:
-        figure: to draw into.
-        flight: the recorded flight, with its states, recorded or derived.
-        span: the window in s since the start, shaded.
-        zoom: show the window alone.
+    The flight comes with its states, recorded or derived; ``zoom`` shows the window alone.
     """
     figure.clear()
     with mpl.rc_context(STYLE):
@@ -103,10 +99,9 @@ def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom:
         for name, colour, position in zip("xyz", (BLUE, ORANGE, GREEN), flight.vehicle.position.T, strict=True):
             panels[0].plot(time, position, color=colour, label=f"${name}$")
         if flight.reference is not None:
+            time = flight.time(flight.reference)
             for name, colour in zip("xy", (BLUE, ORANGE), strict=True):
-                panels[0].plot(
-                    flight.time(flight.reference), flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6
-                )
+                panels[0].plot(time, flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6)
         panels[0].set_ylabel("vehicle (m)")
         _states(panels[1], flight, ("a", "b"), 100.0, "rod's COM (cm)")
         _states(panels[2], flight, ("phi", "theta"), math.degrees(1), "tilt (deg)")
@@ -155,11 +150,8 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
 def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], truth: float | None) -> None:
     """The last refit's landscape and generations, and the estimates of all refits with their intervals.
 
-    Args:
-        figure: to draw into.
-        flight: the recorded flight.
-        refits: in the order in which they were made; none gives empty panels that say so.
-        truth: length in m that the bag states, or None.
+    ``refits`` come in the order in which they were made; none gives empty panels that say so. ``truth`` is the length
+    in m that the bag states.
     """
     figure.clear()
     with mpl.rc_context(STYLE):
@@ -173,9 +165,8 @@ def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], trut
             for axes in (left, middle, right):
                 axes.set(xticks=[], yticks=[])
             left.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=left.transAxes)
-        for axes, orientation in zip((left, middle, right), ("v", "h", "h"), strict=True):
-            if truth is not None and refits:
-                line = axes.axvline if orientation == "v" else axes.axhline
+        if truth is not None and refits:
+            for line in (left.axvline, middle.axhline, right.axhline):
                 line(truth, color="black", lw=0.7, ls="--", label="stated by the bag")
         left.set(title="landscape", xlabel="length (m)", ylabel="fitness above its least")
         middle.set(title="generations of the GA", xlabel="generation", ylabel="length (m)")
