@@ -1,13 +1,13 @@
 """What a flight leaves behind: frames, signals, events, and what they are recorded to."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiplib.params import NANO, STATE_NAMES, STATES, FipError, Params
 
@@ -250,18 +250,29 @@ class MemoryRecorder(Recorder):
 
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
         """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
-        stamps = {role: np.array(known, np.int64) for role, known in self.stamps.items()}
-        values = {role: np.array(known, np.float64) for role, known in self.values.items()}
-        for array in (*stamps.values(), *values.values()):
-            array.flags.writeable = False
-        bodies = {
-            body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
-            for body in ("vehicle", "pendulum")
-        }
-        series = {
-            role: Series.of(role, stamps[role], values[role]) if role in stamps else None
-            for role in ROLES
-            if role not in (*bodies, "events")
-        }
-        start = int(min(poses.stamp[0] for poses in bodies.values()))
-        return Flight(Path(path), metadata, events=tuple(self.events), start_ns=start, topics=(), **bodies, **series)
+        return flight_of(path, metadata, self.stamps, self.values, self.events)
+
+
+def flight_of(
+    path: str | Path,
+    metadata: dict[str, Any],
+    stamps: Mapping[str, ArrayLike],
+    values: Mapping[str, ArrayLike],
+    events: Iterable[Event],
+) -> Flight:
+    """The flight of stamps (ns) and values by role, as a ``MemoryRecorder`` keeps them; the arrays are copied."""
+    stamps = {role: np.array(known, np.int64) for role, known in stamps.items()}
+    values = {role: np.array(known, np.float64) for role, known in values.items()}
+    for array in (*stamps.values(), *values.values()):
+        array.flags.writeable = False
+    bodies = {
+        body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
+        for body in ("vehicle", "pendulum")
+    }
+    series = {
+        role: Series.of(role, stamps[role], values[role]) if role in stamps else None
+        for role in ROLES
+        if role not in (*bodies, "events")
+    }
+    start = int(min(poses.stamp[0] for poses in bodies.values()))
+    return Flight(Path(path), metadata, events=tuple(events), start_ns=start, topics=(), **bodies, **series)

@@ -167,7 +167,7 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
         tick = advance @ tick
     # Between ticks the oldest command has done its work; the new one comes in as the input
     kept = np.delete(np.eye(size), 10, axis=1)
-    gain = -(mpc or MPC(params)).prepare(used_length)[axis].plan[0, :5]  # of u_0 to z_0
+    gain = (mpc or MPC(params)).prepare(used_length)[axis].gains[0]
     sees = (observe @ kept)[[0, 8, 2, 9, 4]]
     open_loop = control.ss((tick @ kept)[:-1], tick[:-1, 10:11], gain[None] @ sees, 0.0, 1.0 / rates[2])
     return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)

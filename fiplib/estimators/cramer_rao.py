@@ -15,17 +15,18 @@ Measured are position and attitude of the vehicle and the horizontal position of
 height is left out unless asked for: it would give half the length away at once.
 """
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy  # its parts are imported when they are first used
 from numpy.typing import NDArray
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
+from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 from fiplib.recording import BagError, Flight
 
@@ -76,9 +77,8 @@ def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = Non
     states[:, 15] = -np.sum(states[:, 10:12] * states[:, 13:15], axis=1) / states[:, 12]
     states[0, 16:] = commands[0]
     for given, lag in ((slice(0, 3), params.simulation.rate_lag), (slice(3, 4), params.simulation.thrust_lag)):
-        decay, source = np.exp(-period / max(lag, 1e-6)), commands[:-1, given]
-        lagged, _ = scipy.signal.lfilter([1 - decay], [1, -decay], source, axis=0, zi=decay * source[:1])
-        states[1:, 16:][:, given] = lagged
+        decay, source = math.exp(-period / max(lag, 1e-6)), commands[:-1, given].T
+        states[1:, 16:][:, given] = first_order(source, 1 - decay, decay, start=decay * source[:, 0]).T
     chosen = (stamps >= (start_ns or stamps[0])) & (stamps <= (end_ns or stamps[-1]))
     return Motion(states[chosen], commands[chosen], period)
 

@@ -42,6 +42,7 @@ import scipy  # its parts are imported when they are first used: they take a sec
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.signals import first_order, local_parabola
 from fiplib.estimators.windows import LEAD, RawWindow
 from fiplib.params import GRAVITY, Params
 
@@ -191,7 +192,7 @@ class WindowModel:
         lean = (window.pendulum - window.vehicle)[:, :2]
 
         def smooth(values: NDArray, derivative: int = 0) -> NDArray:
-            smoothed = scipy.signal.savgol_filter(values, span, 2, deriv=derivative, delta=period, axis=0).T
+            smoothed = local_parabola(values, span, period, derivative).T
             return np.array([np.interp(self._time, window.time - window.time[0], row) for row in smoothed])
 
         self._lean, self._lean_rate = smooth(lean), smooth(lean, 1)
@@ -282,7 +283,7 @@ class WindowModel:
         integral = integral[held] + command[held] * (edges - acts[held])
         mean = np.diff(integral) / self._step
         decay = math.exp(-self._step / max(lag, 1e-6))
-        value, _ = scipy.signal.lfilter([1 - decay], [1, -decay], mean, zi=[decay * mean[0]])
+        value = first_order(mean, 1 - decay, decay, start=decay * mean[0])
         value = np.concatenate([[mean[0]], value])
         # lag * v' = command - v, integrated over a step
         mean = mean - lag * np.diff(value) / self._step
@@ -373,7 +374,7 @@ def _unstable(source: ArrayLike, w: float, step: float) -> NDArray:
     z = w * step
     decay = math.exp(-z)
     last = (z - 1 + decay) / (w * z)
-    weights = [last, (1 - decay) / w - last]
-    forwards = scipy.signal.lfilter(weights, [1, -decay], source, axis=-1)
-    backwards = scipy.signal.lfilter(weights, [1, -decay], np.flip(source, axis=-1), axis=-1)
+    before = (1 - decay) / w - last
+    forwards = first_order(source, last, decay, before)
+    backwards = first_order(np.flip(source, axis=-1), last, decay, before)
     return -(forwards + np.flip(backwards, axis=-1)) / (2 * w)

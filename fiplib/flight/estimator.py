@@ -133,7 +133,8 @@ def _estimate(params: Params, seed: int, connection: Connection) -> None:
     with suppress(OSError, AttributeError):
         os.nice(10)  # the controller comes first
     function = estimator_of(params).function
-    for part in ("scipy.optimize", "scipy.signal"):  # estimators import them when first used: a second, not in flight
+    # estimators import these when first used: a second, not in flight
+    for part in ("scipy.optimize", "fiplib.kernels.filtering", "fiplib.kernels.recursion"):
         importlib.import_module(part)
     with suppress(EOFError, OSError):
         connection.send(None)

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Self
 
-from fiplib import bags
+from fiplib import bags, kernels
 from fiplib.bags.live import LiveRecorder
 from fiplib.flight.display import View
 from fiplib.flight.estimator import EstimatorProcess
@@ -101,6 +101,7 @@ class Session:
             stack.enter_context(self._bag)
             stack.enter_context(self.operator)
             if self.real_time:
+                kernels.load()  # here, and never within a tick
                 self._open_beside(stack)
             else:
                 self.recorder = stack.enter_context(bags.BagRecorder(self.output, self.metadata))

@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fiplib import replay
+from fiplib.batch import fly_many
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import cramer_rao, motion
@@ -31,7 +32,7 @@ from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 
@@ -128,7 +129,7 @@ def _flown(case: dict) -> Flight:
     kind = case["excitation"]
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
-    return fly(Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed))
+    return next(fly_many([Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)]))
 
 
 def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, ...]) -> float:

@@ -17,17 +17,17 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from fiplib.batch import fly_many
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 
 KEYS = ("policy", "index")
-"""In this order: the gains that the genetic algorithm keeps between windows are those of one fitness."""
 
 FLIGHTS = 500
 LITERAL = 100
@@ -86,7 +86,7 @@ def run(case: dict) -> dict[str, float | int | str]:
         **POLICIES[case["policy"]],
     )
     scenario = Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"])
-    flight = fly(scenario)
+    [flight] = fly_many([scenario])
     times, used = measures.used_length(flight)
     settled = measures.settling_time(times, np.abs(used / true - 1) >= SETTLED)
     return {

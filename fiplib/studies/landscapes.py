@@ -17,15 +17,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import kalman, replay
+from fiplib.batch import fly_many
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
-from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
+from fiplib.params import A_DOT, B_DOT, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
 from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Table, number
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""
@@ -135,25 +136,17 @@ def flown(excitation: str, gyration_ratio: float, seed: int, seconds: float) -> 
     """A simulated flight with the true length; the same whatever is varied in the estimator. Raises RuntimeError if the
     rod falls."""
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
-    flight = fly(Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=seed))
+    [flight] = fly_many([Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=seed)])
     if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
     return flight
 
 
 def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArray, NDArray]:
-    """Lengths (C,) in m and their fitness on each of W windows of one size, (W, C): ``ga.landscape`` of all at once.
-
-    The gains do not depend on the data: a chunk of lengths computes them once for all windows.
-    """
+    """Lengths (C,) in m and their fitness on each of W windows, (W, C): ``ga.landscape`` of all."""
     chromosome = Chromosome.of(estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
-    fitness = np.empty((len(windows), len(lengths)))
-    for start in range(0, len(lengths), kalman.CHUNK):
-        part = slice(start, start + kalman.CHUNK)
-        gain = kalman.gains(lengths[part], len(windows[0].states), windows[0].step, estimation)
-        for row, window in zip(fitness, windows, strict=True):
-            row[part] = kalman.score(gain, window, estimation)
+    fitness = np.array([kalman.fitness(lengths, window, estimation) for window in windows])
     return lengths, fitness
 
 
@@ -195,10 +188,9 @@ def acceleration_kept(lengths: NDArray, window: Window, estimation: Estimation) 
     The diagonal element of I - K = R S^-1, averaged over the samples of the window and the two axes. Where it is near
     0 the posterior follows the measurement and the residual no longer sees the length.
     """
-    row = AXES[0].states.index(A_DOT)
-    noise = [estimation.measurement_noise[axis.states[row]] for axis in AXES]
-    information = kalman.gains(lengths, len(window.states), window.step, estimation).information[..., row, row]
-    return (information * noise[: information.shape[-1]]).mean(axis=(0, 2))
+    rows = np.array([A_DOT, B_DOT])
+    information = np.linalg.inv(kalman.filter_window(lengths, window, estimation).covariances)[..., rows, rows]
+    return (information * np.array(estimation.measurement_noise)[rows]).mean(axis=(-2, -1))
 
 
 def _curvature_sd(lengths: NDArray, fitness: NDArray, index: int) -> float:

@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fiplib.batch import fly_many
 from fiplib.params import Y_DOT, Params, Y
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Table, number
-from fiplib.simulate import SCENARIOS, fly
+from fiplib.simulate import SCENARIOS
 from fiplib.studies import seconds_flown
 
 KEYS = ("variant", "scenario", "seed")
@@ -105,7 +106,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
-    flight = fly(scenario)
+    [flight] = fly_many([scenario])
     row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)
     row = {"survived": int(flight.survived), "flown": seconds_flown(flight, scenario), **row}
     if flight.survived or scenario.told_lengths:

@@ -11,12 +11,13 @@ import math
 
 import numpy as np
 
+from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.survival import RODS
 
@@ -68,7 +69,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     survived, flown, ratios = 0, [], []
     for seed in SEEDS:
         scenario = Scenario("length jump", "", START + SECONDS, CIRCLE, told_lengths=told, params=params, seed=seed)
-        flight = fly(scenario)
+        [flight] = fly_many([scenario])
         survived += flight.survived
         flown.append(seconds_flown(flight, scenario) - START)
         time, rates = flight.time(flight.command), np.square(flight.command.values[:, :2])

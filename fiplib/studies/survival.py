@@ -10,12 +10,13 @@ import itertools
 import numpy as np
 from matplotlib.figure import Figure
 
+from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import COLUMN, origin
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 
 KEYS = ("used_length", "true_length", "rod")
@@ -55,7 +56,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     loop = margins.closed_loop(case["used_length"], params)
     low, high = loop.pendulum_share()
     scenarios = [Scenario("survival", "", SECONDS, CIRCLE, params=params, seed=seed) for seed in SEEDS]
-    flights = [fly(scenario) for scenario in scenarios]
+    flights = list(fly_many(scenarios))
     return {
         "growth_rate": loop.growth_rate,
         "frequency": loop.frequency,

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
@@ -29,7 +30,7 @@ from fiplib.pilot import Circle
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts, Table
-from fiplib.simulate import SCENARIOS, Scenario, fly
+from fiplib.simulate import SCENARIOS, Scenario
 from fiplib.studies.survival import RODS
 
 KEYS = ("candidate",)
@@ -136,7 +137,8 @@ def _starts(params: Params) -> dict[str, float]:
     for start in STARTS:
         if start != params.pendulum.length:
             flown = params.replace(piloting__initial_length=start)
-            flight = fly(Scenario("start", "", START_SECONDS, Circle(0.4, 8.0), params=flown, seed=SEED))
+            scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
+            [flight] = fly_many([scenario])
             up += flight.survived
             leans.append(float(measures.lean(flight).max()))
     return {"starts": up, "start_lean": max(leans)}
@@ -144,7 +146,7 @@ def _starts(params: Params) -> dict[str, float]:
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
     """The rows of the ledger that are read from this flight; none holds if it falls."""
-    flight = fly(scenario)
+    [flight] = fly_many([scenario])
     row = {}
     for id in (*NEEDED, *ALSO):
         claim = claims.BY_ID[id]

@@ -62,7 +62,7 @@ def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
     near = chromosome.length(np.arange(codes[max(coarse - 1, 0)], codes[min(coarse + 1, len(codes) - 1)] + 1))
     best = float(near[kalman.fitness(near, window, estimation).argmin()])
     # settings change with every run here: a table of all gains would take ten times as long as it saves
-    found = ga.estimate(window, params, np.random.default_rng(seed), keep_gains=False)
+    found = ga.estimate(window, params, np.random.default_rng(seed))
     return WindowFit(window, params, lengths, fitness, best, found, time.perf_counter() - began)
 
 
