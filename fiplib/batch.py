@@ -53,7 +53,7 @@ def _fly(scenario: Scenario) -> Flight:
     )
     sampler = SAMPLERS[estimator_of(params).kind](params)
     lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
-    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.numbers("truth_length", EPOCH, (params.pendulum.length,))
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     first, newest, fell = 0, None, False
     while first < count and not fell:

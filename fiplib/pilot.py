@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
-from fiplib.estimators.handover import HANDOVERS, HandOver
+from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
@@ -140,12 +140,7 @@ class Observer:
 
 
 class Pilot:
-    """From poses to body rates and thrust.
-
-    Args:
-        params: all parameters of the flight.
-        reference: the trajectory to follow; its time starts with the first step.
-    """
+    """From poses to body rates and thrust. The time of the reference to follow starts with the first step."""
 
     def __init__(self, params: Params, reference: Reference) -> None:
         from fiplib.kernels import piloting as loops
@@ -153,7 +148,7 @@ class Pilot:
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
-        self._handover: HandOver = policy(params, self._sampler.seconds / params.estimation.run_period)
+        self._handover = policy(params, self._sampler.seconds / params.estimation.run_period)
         self.length = self._handover.used
         self._mpc = MPC(params)
         self._gains = self._feedback()
@@ -166,15 +161,7 @@ class Pilot:
         self._last: int | None = None
 
     def step(self, now: int, measurement: Measurement) -> Command | None:
-        """Take one frame; at a control tick, say what to do.
-
-        Args:
-            now: time at which the frame arrived, ns.
-            measurement: the frame.
-
-        Returns:
-            The command at a control tick (``control_rate``), ``None`` at the frames between.
-        """
+        """Take one frame that arrived at ``now`` ns; the command at a control tick, ``None`` at the frames between."""
         tick = self.observe(now, measurement)
         if tick is None:
             return None
@@ -229,14 +216,9 @@ class Pilot:
         return self._sampler.due(self._last) if self.params.piloting.estimate else None
 
     def receive_estimate(self, length: float, deviation: float = math.nan) -> float:
-        """Take a new estimate over by the policy ``piloting.handover``.
+        """Take a new estimate over by the policy ``piloting.handover``; returns the length used from the next tick on.
 
-        Args:
-            length: raw estimate in m; a non-finite one is ignored.
-            deviation: its standard deviation in m; nan if it has none.
-
-        Returns:
-            The length used from the next tick on, m.
+        All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none.
         """
         self.length = self._handover.update(length, deviation)
         self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
@@ -244,7 +226,7 @@ class Pilot:
 
     def _feedback(self) -> NDArray:
         """-K_0 (2, 10) of the length in use."""
-        gains = np.zeros((2, len(STATES)))
+        gains = np.zeros((2, 10))
         for axis, part in zip(AXES, self._mpc.prepare(self.length), strict=True):
             # z = (s, s', d, d', sign * tilt) and sign * rate: see params.Axis
             signs = axis.sign * np.array((1.0, 1.0, 1.0, 1.0, axis.sign))

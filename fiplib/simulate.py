@@ -155,15 +155,6 @@ class Mocap:
         return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
 
 
-class Rates(Protocol):
-    """What ``Command`` and a setpoint have in common: ``body_rate`` (3,) in rad/s, ``thrust`` normalised to [0, 1]."""
-
-    @property
-    def body_rate(self) -> ArrayLike: ...
-    @property
-    def thrust(self) -> float: ...
-
-
 class PushSchedule:
     """Pushes frame by frame, ``rate`` of them a second."""
 
@@ -186,9 +177,7 @@ class PushSchedule:
 class SimulatedVehicle:
     """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
-    Args:
-        scenario: start, reference, pushes, parameters and seed of the flight.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
+    ``vehicle`` makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
 
     def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
@@ -213,8 +202,8 @@ class SimulatedVehicle:
             self._mocap = self.mocap(NOISE_FRAMES)
         return self._mocap.frame(index, stamp, self.plant.x)
 
-    def command(self, command: Rates, at: int | None = None) -> None:
-        """Take a command, to act after the usual delay or at a substep of the plant."""
+    def command(self, command: Any, at: int | None = None) -> None:
+        """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""
         self.flown = self.flown or 0
         self.plant.command(command.body_rate, command.thrust * self._params.vehicle.max_thrust, at)
 
@@ -273,12 +262,8 @@ class SimulatedEstimator:
 class LengthUpdates:
     """The lengths that a pilot receives in flight: those prescribed by the scenario, and those that are estimated.
 
-    Args:
-        scenario: its ``told_lengths`` are the prescribed ones.
-        estimator: beside the flight, or ``None``.
-        receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
-        recorder: of lengths, refusals and the estimator's remarks.
-        say: takes the remarks, too.
+    ``receive`` hands (time ns, length m, standard deviation m) over and returns the length used from then on. Lengths,
+    refusals and the estimator's remarks are recorded; ``say`` takes the remarks, too.
     """
 
     def __init__(
@@ -308,22 +293,17 @@ class LengthUpdates:
                 level, text = self._estimator.remarks.popleft()
                 self._recorder.event(now, level, text)
                 self._say(text)
-            if estimate is not None:
-                self._estimated(now, estimate)
+            if estimate is not None and estimate.reason is None:
+                used = self._receive(now, estimate.length, estimate.standard_deviation)
+                self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
+                self.latest, self._refused = estimate, None
+            elif estimate is not None and (reason := estimate.reason) != self._refused:  # recorded once, not every run
+                self._refused = reason
+                self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
         if seconds >= self.prescribed_at:
             length = self._prescribed.popleft()[1]
             self._recorder.event(now, "warn", f"pilot is told the length {length:g} m", "length", {"length": length})
             self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
-
-    def _estimated(self, now: int, estimate: Estimate) -> None:
-        reason = estimate.reason
-        if reason is None:
-            used = self._receive(now, estimate.length, estimate.standard_deviation)
-            self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            self.latest = estimate
-        elif reason != self._refused:
-            self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
-        self._refused = reason
 
 
 def fly(
@@ -332,16 +312,10 @@ def fly(
     progress: Callable[[float], None] | None = None,
     vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
 ) -> Flight:
-    """Fly a scenario in the simulator, through the pilot.
+    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
 
-    Args:
-        scenario: the flight.
-        recorder: where it is also written to.
-        progress: called with the simulated seconds done, about once per simulated second.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
-
-    Returns:
-        The flight, as ``bags.read`` gives it from its bag; a fall ends it early and is recorded as an event.
+    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
+    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
     """
     params, rate = scenario.params, scenario.params.piloting.mocap_rate
     tape = MemoryRecorder(recorder)
@@ -351,7 +325,7 @@ def fly(
     latency = round(params.simulation.mocap_latency * NANO)
     status = Status.OPTIMAL
 
-    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.numbers("truth_length", EPOCH, [params.pendulum.length])
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     for index in range(round(scenario.duration * rate)):
         seconds = index / rate
@@ -360,12 +334,12 @@ def fly(
         measurement = simulated.measure(stamp)
         tape.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
         tape.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
-        tape.truth(stamp, simulated.plant.truth())
+        tape.numbers("truth_state", stamp, simulated.plant.truth())
         command = pilot.step(now, measurement)
         if command is not None:
             simulated.command(command)
-            tape.state(now, command.state)
-            tape.reference(now, command.reference)
+            tape.numbers("state", now, command.state)
+            tape.numbers("reference", now, command.reference)
             tape.command(now, command.body_rate, command.thrust)
             if command.status is not status:
                 status = command.status
@@ -391,40 +365,36 @@ def event_of_fall(stamp: int) -> Event:
     return Event(stamp, "error", "rod or vehicle fell: flight ended", "fall")
 
 
-def _scenarios() -> dict[str, Scenario]:
-    params = Params()
-    quick = Circle(radius=0.4, period=8.0)
-    flights = [
+_QUICK = Circle(radius=0.4, period=8.0)
+_FLIGHTS = (
+    Scenario(
+        "push-hover",
+        "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
+        26.0,
+        Hover(),
+        pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
+    ),
+    Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
+    *(
         Scenario(
-            "push-hover",
-            "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
-            26.0,
-            Hover(),
-            pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
-        ),
-        Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
-        *(
-            Scenario(
-                f"estimate-{length:.1f}",
-                f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
-                25.0,
-                quick,
-                params=params.replace(piloting__initial_length=length, piloting__estimate=True),
-                seed=seed,
-            )
-            for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
-        ),
-        Scenario(
-            "length-jump",
-            "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
-            26.0,
-            quick,
-            told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
-            params=params.replace(estimation__median_length=1),
-        ),
-    ]
-    return {scenario.name: scenario for scenario in flights}
+            f"estimate-{length:.1f}",
+            f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
+            25.0,
+            _QUICK,
+            params=Params().replace(piloting__initial_length=length, piloting__estimate=True),
+            seed=seed,
+        )
+        for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
+    ),
+    Scenario(
+        "length-jump",
+        "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
+        26.0,
+        _QUICK,
+        told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
+        params=Params().replace(estimation__median_length=1),
+    ),
+)
 
-
-SCENARIOS = _scenarios()
+SCENARIOS = {scenario.name: scenario for scenario in _FLIGHTS}
 """The flights recorded in ``data/``, by name."""

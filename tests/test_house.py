@@ -147,6 +147,14 @@ def test_importing_the_package_loads_no_numerical_library():
     assert set(done.stdout.split()[1:]) == {"MPC", "Params", "Pilot", "SCENARIOS", "estimate", "fly", "read", "refit"}
 
 
+def test_importing_core_and_estimators_compiles_nothing_and_loads_no_part_of_scipy():
+    # each of these takes longer than all of ours together: they are imported where they are used
+    heavy = "{'numba', 'scipy.signal', 'scipy.optimize', 'scipy.linalg', 'matplotlib'}"
+    ours = [name for name, path in modules().items() if path.parent == LIBRARY or room(name) == "estimators"]
+    done = run("-c", f"import sys, {', '.join(ours)}; print(sorted({heavy} & set(sys.modules)))")
+    assert done.stdout == "[]\n", done.stderr
+
+
 def test_every_name_of_the_public_face_is_there():
     import fiplib
 
