@@ -605,7 +605,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 0.0 < options.minutes < math.inf:
         parser.error(f"--minutes {options.minutes:g}: give minutes > 0")
     if not sys.platform.startswith("linux"):
-        parser.error("what the machine does is told by what Linux counts: run it there")
+        parser.error("needs what Linux counts about processes: run it there")
     try:
         values, interrupted = run(options.minutes)
     except (KeyboardInterrupt, WatchError) as error:

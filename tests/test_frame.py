@@ -14,6 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from ruamel.yaml import YAML
 
+from fiplib import products
 from tests.conftest import NUMERIC_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
@@ -48,11 +49,6 @@ def locked_entries() -> list[str]:
 def words(label: str) -> list[str]:
     """The words that follow ``label`` (``VARIABLE :=`` or ``target:``) on its first line of the Makefile."""
     return next(line for line in MAKEFILE.splitlines() if line.startswith(label)).removeprefix(label).split()
-
-
-def figure_names() -> list[str]:
-    """The figures and tables that the Makefile makes."""
-    return words("FIGURES :=") + words("TABLES :=")
 
 
 def repository_files() -> list[Path]:
@@ -120,33 +116,6 @@ def test_the_citation_names_this_package_its_version_and_the_paper():
     assert [author["family-names"] for author in paper["authors"]] == ["Paul", "Torok", "Deghat"]
 
 
-def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
-    from fiplib.reproduction.figures import FIGURES
-
-    listed = {name: set(words(f"reads_{name} :=")) for name in figure_names()}
-    assert listed == {name: set(figure.bags) for name, figure in FIGURES.items()}
-    studies = {name: figure.studies for name, figure in FIGURES.items() if figure.studies}
-    assert {name: tuple(words(f"studies_{name} :=")) for name in studies} == studies
-
-
-def test_make_knows_which_bags_and_studies_the_ledger_is_judged_on():
-    from fiplib.reproduction.claims import CLAIMS
-    from fiplib.studies.summaries import FACTS
-
-    sources = {source for claim in CLAIMS for source in claim.bags if not source.endswith(".csv")}
-    studies = {source.removeprefix("sweeps/") for source in sources if source.startswith("sweeps/")}
-    assert studies | set(FACTS) == set(words("studies_claims :="))
-    assert {source for source in sources if not source.startswith("sweeps/")} <= set(words("SCENARIOS :="))
-
-
-def test_make_bags_records_known_scenarios_and_every_bag_that_a_figure_reads():
-    from fiplib.simulate import SCENARIOS
-
-    recorded = set(words("SCENARIOS :="))
-    assert recorded <= set(SCENARIOS)
-    assert {bag for name in figure_names() for bag in words(f"reads_{name} :=")} <= recorded
-
-
 def test_make_help_is_the_default_and_lists_every_public_target():
     targets = words(".PHONY:")
     listed = [line.split()[0] for line in make("help").splitlines() if line.startswith("  ")]
@@ -202,9 +171,9 @@ def test_the_readme_shows_both_commands_and_names_only_what_exists():
     assert re.search(r"^make figures\b", readme, re.MULTILINE)
     assert re.search(r"^make test\b", readme, re.MULTILINE)
     commands = set(re.findall(r"(?:^|`)make ([a-z][\w.-]*)", readme, re.MULTILINE))
-    assert commands <= {*words(".PHONY:"), *(f"fly-{name}" for name in words("SCENARIOS :="))}
+    assert commands <= {*words(".PHONY:"), *(f"fly-{name}" for name in products.ledger().bags)}
     # Links and paths in code style lead to files of the repository; what make writes is named by its target instead.
     paths = re.findall(r"\]\(([^)#:]+)\)", readme) + re.findall(r"`((?:fiplib|scripts|data|tests)/[\w./-]*)", readme)
     assert [path for path in paths if not (ROOT / path).exists()] == []
     made = set(re.findall(r"`((?:fig|table)\d+-\w+)`", readme))
-    assert made == set(figure_names())
+    assert made == set(products.PRODUCTS)

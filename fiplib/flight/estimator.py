@@ -1,5 +1,6 @@
 """The estimator beside a flight in real time: a process of its own that may crash or hang without harm."""
 
+import importlib
 import math
 import multiprocessing
 import os
@@ -148,6 +149,8 @@ def _estimate(params: Params, seed: int, connection: Connection) -> None:
     with suppress(OSError, AttributeError):
         os.nice(10)  # the controller comes first
     function = estimator_of(params).function
+    for part in ("scipy.optimize", "scipy.signal"):  # estimators import them when first used: a second, not in flight
+        importlib.import_module(part)
     with suppress(EOFError, OSError):
         connection.send("ready")
         while True:

@@ -1,11 +1,12 @@
 """Every number that the paper states, what our flights give, and the verdict: the ledger.
 
 A new claim is one function, (paper's number, what it is read from) -> ``Finding``, and one line in ``CLAIMS``. What is
-measured on a flight stands in ``measures``; ``python -m fiplib.reproduction.ledger`` judges all claims and writes the files.
+measured on a flight stands in ``measures``; ``fip claims`` judges all claims and writes the files.
 """
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache, partial
 from types import MappingProxyType
@@ -33,7 +34,7 @@ from fiplib.reproduction.measures import (
     used_length,
     x_response,
 )
-from fiplib.reproduction.rows import Rows
+from fiplib.reproduction.sources import Quantities, Rows, Sources
 
 ABOUT = 0.25
 """Relative difference within which a measured number of the paper counts as met. It says "approximately", and pushes,
@@ -88,11 +89,11 @@ class Finding(NamedTuple):
     facts: Mapping[str, float] = MappingProxyType({})
 
 
-class Claim(NamedTuple):
+@dataclass(frozen=True)
+class Claim(Sources):
     """A claim of the paper: ``paper`` is its number in ``unit`` (None: it states none), shown with ``decimals``.
 
-    ``judge(paper, *sources)`` gets the flights of ``bags``. A name there that ends in .csv is a table of benchmarks/,
-    a dictionary, empty if it is not there; ``sweeps/NAME`` is the table of a study, rows, empty if not complete.
+    ``judge(paper, *sources)`` gets what ``Sources.read`` returns.
     """
 
     id: str
@@ -100,7 +101,6 @@ class Claim(NamedTuple):
     paper: float | None
     unit: str
     decimals: int
-    bags: tuple[str, ...]
     judge: Callable[..., Finding]
 
 
@@ -128,7 +128,8 @@ def pushes_kept(paper: float, flight: Flight) -> Finding:
 def push_lean(paper: float, flight: Flight) -> Finding:
     """D2: max(|a|, |b|) from the first push on, m."""
     largest = float(lean(flight)[flight.time(flight.state) >= push_times(flight)[0]].max())
-    impulses = [1e3 * math.hypot(*push["impulse"]) for push in flight.metadata.get("pushes", ())]
+    known = (event.data.get("impulse") for event in flight.events if event.kind == "push")
+    impulses = [1e3 * math.hypot(*impulse) for impulse in known if impulse]
     words = "The paper does not say how hard it pushed. Our pushes were chosen to lead about as far; what is tested is"
     words += " that the rod comes back from there"
     met = math.isinf(fall_time(flight)) and about(largest, paper)
@@ -368,7 +369,7 @@ def fatal_jump(paper: float, flight: Flight) -> Finding:
     return Finding(size, verdict(size > paper and ratio > 1 + ABOUT), words, {"delay": end - start, "ratio": ratio})
 
 
-def solve_time(paper: float, table: Mapping[str, float]) -> Finding:
+def solve_time(paper: float, table: Quantities) -> Finding:
     """R1: time of one MPC solve, ms, from the benchmark's table."""
     if SOLVE_TIME not in table:
         return Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
@@ -376,7 +377,7 @@ def solve_time(paper: float, table: Mapping[str, float]) -> Finding:
     return Finding(table[SOLVE_TIME] / 1e3, verdict(table[SOLVE_TIME] / 1e3 < paper), words)
 
 
-def stalled_ticks(paper: None, table: Mapping[str, float]) -> Finding:
+def stalled_ticks(paper: None, table: Quantities) -> Finding:
     """R1: control ticks missed for another cause than the machine, with the GA beside the MPC in real time."""
     if "missed" not in table:
         return Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
@@ -393,39 +394,40 @@ def _estimation(id: str, start: str, length: float, error: float, time: float) -
     """The rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
     text, bag = f"From l0 = {start} m:", (f"estimate-{start}",)
     return (
-        Claim(f"{id}.length", f"{text} length reached", length, "m", 3, bag, final_length),
-        Claim(f"{id}.error", f"{text} its error", error, "m", 3, bag, final_error),
-        Claim(f"{id}.time", f"{text} convergence time", time, "s", 2, bag, convergence_time),
-        Claim(f"{id}.literal", f"{text} best length by the printed fitness", length, "m", 3, bag, printed_fitness),
+        Claim(f"{id}.length", f"{text} length reached", length, "m", 3, final_length, bags=bag),
+        Claim(f"{id}.error", f"{text} its error", error, "m", 3, final_error, bags=bag),
+        Claim(f"{id}.time", f"{text} convergence time", time, "s", 2, convergence_time, bags=bag),
+        Claim(f"{id}.literal", f"{text} best length by the printed fitness", length, "m", 3, printed_fitness, bags=bag),
     )
 
 
 _PUSH, _CIRCLE, _JUMP = ("push-hover",), ("circle-0.8",), ("length-jump",)
+_SOLVES, _DEADLINES = ("solve_times",), ("deadlines",)
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
 
 CLAIMS = (
-    Claim("D1", "Three pushes in hover: balance is kept", 3, "pushes", 0, _PUSH, pushes_kept),
-    Claim("D2", "Pushes: largest deviation of a, b", 0.058, "m", 3, _PUSH, push_lean),
-    Claim("D2.angle", "The same as an angle", 6.67, "deg", 2, _PUSH, partial(as_angle, of="D2")),
-    Claim("D3", "Pushes: settling time of a, b", 2.0, "s", 2, _PUSH, push_settling),
-    Claim("C1", "Circle of 0.8 m: largest deviation of a, b", 0.025, "m", 3, _CIRCLE, circle_lean),
-    Claim("C1.angle", "The same as an angle", 2.87, "deg", 2, _CIRCLE, partial(as_angle, of="C1")),
-    Claim("C2.gain", "Circle: minimal undershoot of x", None, "1", 3, _CIRCLE, circle_gain),
-    Claim("C2.delay", "Circle: slight delay of x", None, "s", 3, _CIRCLE, circle_delay),
-    Claim("C2.y", "Circle: largest error of y", 0.2, "m", 3, _CIRCLE, circle_y),
-    Claim("C3", "Other weights on y and its rate would mend y", None, "1", 2, ("sweeps/ledger_seeds",), heavier_y),
+    Claim("D1", "Three pushes in hover: balance is kept", 3, "pushes", 0, pushes_kept, bags=_PUSH),
+    Claim("D2", "Pushes: largest deviation of a, b", 0.058, "m", 3, push_lean, bags=_PUSH),
+    Claim("D2.angle", "The same as an angle", 6.67, "deg", 2, partial(as_angle, of="D2"), bags=_PUSH),
+    Claim("D3", "Pushes: settling time of a, b", 2.0, "s", 2, push_settling, bags=_PUSH),
+    Claim("C1", "Circle of 0.8 m: largest deviation of a, b", 0.025, "m", 3, circle_lean, bags=_CIRCLE),
+    Claim("C1.angle", "The same as an angle", 2.87, "deg", 2, partial(as_angle, of="C1"), bags=_CIRCLE),
+    Claim("C2.gain", "Circle: minimal undershoot of x", None, "1", 3, circle_gain, bags=_CIRCLE),
+    Claim("C2.delay", "Circle: slight delay of x", None, "s", 3, circle_delay, bags=_CIRCLE),
+    Claim("C2.y", "Circle: largest error of y", 0.2, "m", 3, circle_y, bags=_CIRCLE),
+    Claim("C3", "Other weights on y and its rate would mend y", None, "1", 2, heavier_y, studies=("ledger_seeds",)),
     *_estimation("G1", "0.8", 0.973, 0.027, 14.68),
     *_estimation("G2", "1.2", 1.029, 0.029, 3.99),
     *_estimation("G3", "1.4", 1.0, 0.0, 12.43),
-    Claim("G4.late", "Little to no convergence after 14 s", None, "1", 2, _ESTIMATES, late_convergence),
-    Claim("G4.search", "The GA explores too little", None, "m", 4, _ESTIMATES, search_as_printed),
-    Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, _ESTIMATES, search_mended),
-    Claim("G5", "Tracking in x improves once l is updated", None, "1", 2, ("estimate-1.4",), tracking_ratio),
-    Claim("G6.safe", "A change of l at once up to here is survived", 0.8, "m", 2, _JUMP, survived_jump),
-    Claim("G6.fatal", "A change of l at once beyond here: instability", 0.8, "m", 2, _JUMP, fatal_jump),
-    Claim("G6.steps", "Small steps of l would mend it", None, "1", 2, ("sweeps/length_jumps",), small_steps),
-    Claim("R1.mpc", "MPC in real time at 120 Hz: time of one solve", 8.33, "ms", 2, ("solve_times.csv",), solve_time),
-    Claim("R1.ga", "The GA does not stall the MPC", None, "ticks", 0, ("deadlines.csv",), stalled_ticks),
+    Claim("G4.late", "Little to no convergence after 14 s", None, "1", 2, late_convergence, bags=_ESTIMATES),
+    Claim("G4.search", "The GA explores too little", None, "m", 4, search_as_printed, bags=_ESTIMATES),
+    Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, search_mended, bags=_ESTIMATES),
+    Claim("G5", "Tracking in x improves once l is updated", None, "1", 2, tracking_ratio, bags=("estimate-1.4",)),
+    Claim("G6.safe", "A change of l at once up to here is survived", 0.8, "m", 2, survived_jump, bags=_JUMP),
+    Claim("G6.fatal", "A change of l at once beyond here: instability", 0.8, "m", 2, fatal_jump, bags=_JUMP),
+    Claim("G6.steps", "Small steps of l would mend it", None, "1", 2, small_steps, studies=("length_jumps",)),
+    Claim("R1.mpc", "MPC in real time at 120 Hz: time of one solve", 8.33, "ms", 2, solve_time, benchmarks=_SOLVES),
+    Claim("R1.ga", "The GA does not stall the MPC", None, "ticks", 0, stalled_ticks, benchmarks=_DEADLINES),
 )  # fmt: skip
 """The ledger, row by row."""
 

@@ -1,33 +1,21 @@
-"""Every figure and table of the paper, regenerated from recorded bags. Nothing is simulated here.
+"""Every figure of the paper, from recorded flights: flights in, ``Figure`` out. Nothing is simulated here.
 
-``python -m fiplib.reproduction.figures fig3-pushes`` writes figures/fig3-pushes.pdf and .png. A new figure is one function, flights
-in and Figure out, and one line in ``FIGURES``; a table returns a ``Table``.
+A new figure is one function and one line in ``products.PRODUCTS``; ``fip figures NAME`` writes it.
 """
 
-import argparse
-import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fiplib import bags, console
 from fiplib.params import STATES, Params
 from fiplib.recording import TOPICS, BagError, Flight
-from fiplib.reproduction import claims, measures, tables
-from fiplib.reproduction.rows import JournalError, quantities
-from fiplib.reproduction.rows import read as read_rows
-from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, STYLE, origin
-from fiplib.reproduction.tables import Table
-from fiplib.studies import findings, journal, summaries
+from fiplib.reproduction import claims, measures
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
 
 
 def fig1_flight(flight: Flight) -> Figure:
@@ -158,89 +146,6 @@ def fig6_convergence(*flights: Flight) -> Figure:
     return figure
 
 
-class Product(NamedTuple):
-    """What makes a figure or table: it is given the flights of ``bags``, then the tables of ``studies``, then those of
-    ``benchmarks``, in order."""
-
-    make: Callable[..., Figure | Table]
-    bags: tuple[str, ...] = ()
-    studies: tuple[str, ...] = ()
-    benchmarks: tuple[str, ...] = ()
-
-    @property
-    def command(self) -> str:
-        """What computes it from the beginning."""
-        return journal.command(bags=bool(self.bags), studies=self.studies, benchmarks=self.benchmarks)
-
-
-_ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
-
-FIGURES = {
-    "fig1-flight": Product(fig1_flight, ("circle-0.8",)),
-    "fig2-vehicle": Product(fig2_vehicle),
-    "fig3-pushes": Product(fig3_pushes, ("push-hover",)),
-    "fig4-circle": Product(fig4_circle, ("circle-0.8",)),
-    "fig5-estimation": Product(fig5_estimation, ("estimate-1.4",)),
-    "fig6-convergence": Product(fig6_convergence, _ESTIMATES),
-    "fig7-survival": Product(findings.fig7_survival, studies=("survival",)),
-    "fig8-landscapes": Product(findings.fig8_landscapes, studies=("landscape_curves",)),
-    "fig9-estimators": Product(findings.fig9_estimators, studies=("estimators",)),
-    "fig10-intervals": Product(findings.fig10_intervals, ("estimate-1.4",)),
-    "fig11-handover": Product(findings.fig11_handover, studies=("handover",)),
-    "fig12-bound": Product(findings.fig12_bound, studies=("bounds",)),
-    "fig13-deadlines": Product(findings.fig13_deadlines, benchmarks=("deadlines",)),
-    "table1-parameters": Product(tables.table1_parameters),
-    "table2-software": Product(tables.table2_software),
-    "table3-convergence": Product(tables.table3_convergence, _ESTIMATES),
-    "table4-estimators": Product(summaries.table4_estimators, studies=("estimators",)),
-    "table5-seeds": Product(summaries.table5_seeds, studies=("ledger_seeds",)),
-    "table6-readings": Product(summaries.table6_readings, studies=("ledger_seeds", "ledger_readings")),
-    "table7-weights": Product(summaries.table7_weights, studies=("weights",)),
-    "table8-handover": Product(summaries.table8_handover, studies=("handover",)),
-    "table9-landscapes": Product(summaries.table9_landscapes, studies=("landscapes",)),
-    "table10-rates": Product(summaries.table10_rates, benchmarks=("sweep_rates",)),
-    "table11-imperfections": Product(summaries.table11_imperfections, studies=("imperfections",)),
-}
-"""Every figure and table by name."""
-
-
-def make(name: str, data: Path = Path("data")) -> Figure | Table:
-    """Make one figure or table from the bags and tables in ``data`` and, beside it, ``benchmarks``.
-
-    Raises:
-        KeyError: no such name. BagError, JournalError, FileNotFoundError: what it is made from is not there, or broken.
-    """
-    product = FIGURES[name]
-    sources = [bags.read(data / bag) for bag in product.bags]
-    for study in product.studies:
-        if not (table := read_rows(study, data)):
-            raise FileNotFoundError(f"{data}/sweeps/{study}.csv is missing: make sweep STUDIES={study}")
-        sources.append(table)
-    for table in product.benchmarks:
-        if not (numbers := quantities(data.parent / "benchmarks" / f"{table}.csv")):
-            raise FileNotFoundError(f"benchmarks/{table}.csv is missing: {journal.command(benchmarks=[table])}")
-        sources.append(numbers)
-    with mpl.rc_context(STYLE):
-        return product.make(*sources)
-
-
-def write(name: str, made: Figure | Table, folder: Path) -> list[Path]:
-    """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(made, Table):
-        contents = {".csv": made.csv(FIGURES[name].command), ".tex": made.latex()}
-        paths = [folder / f"{name}{suffix}" for suffix in contents]
-        for path, text in zip(paths, contents.values(), strict=True):
-            path.write_text(text, encoding="utf-8")
-        return paths
-    paths = [folder / f"{name}{suffix}" for suffix in (".pdf", ".png")]
-    with mpl.rc_context(STYLE):
-        FigureCanvasAgg(made)
-        made.savefig(paths[0], metadata={"CreationDate": None, "Producer": None, "Creator": None})
-        made.savefig(paths[1], metadata={"Software": None})
-    return paths
-
-
 # --- pieces shared by the figures
 
 
@@ -336,34 +241,3 @@ def _dimension(
     axes.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.6, "shrinkA": 0, "shrinkB": 0})
     middle = np.mean([start, end], axis=0)
     axes.text(*middle, text, ha="center", va="center", rotation=rotation, bbox={"fc": "white", "ec": "none", "pad": 1})
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m fiplib.reproduction.figures", description="Make figures and tables from bags."
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
-    parser.add_argument("--list", action="store_true", help="list the figures and tables with the bags they read")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
-    options = parser.parse_args(arguments)
-    if options.list:
-        for name, product in FIGURES.items():
-            sources = product.bags + product.studies + product.benchmarks
-            print(f"{name:20} {' '.join(sources) or '(parameters only)'}")
-        return 0
-    if unknown := [name for name in options.names if name not in FIGURES]:
-        print(f"no figure {unknown[0]!r}; there are {', '.join(FIGURES)}", file=sys.stderr)
-        return 2
-    try:
-        for name in options.names or FIGURES:
-            paths = write(name, make(name, options.data), options.output)
-            print("wrote", *paths)
-    except (BagError, JournalError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(console.run(main))

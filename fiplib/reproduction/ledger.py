@@ -1,29 +1,22 @@
-"""The ledger as files: every claim judged on our flights, as table, text, LaTeX and macros of the report.
-
-``python -m fiplib.reproduction.ledger`` reads bags and tables and writes all of them.
-"""
+"""The ledger as files: every claim judged on our flights, as table, text, LaTeX and macros of the report."""
 
 import argparse
 import csv
 import io
 import math
 import re
-import sys
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
-from fiplib import bags
 from fiplib.params import Params
-from fiplib.recording import BagError, Flight
+from fiplib.recording import Flight
 from fiplib.reproduction.claims import BY_ID, CLAIMS, Claim, Verdict
-from fiplib.reproduction.rows import JournalError, Rows, quantities
-from fiplib.reproduction.rows import read as read_rows
-from fiplib.studies import journal, summaries
+from fiplib.reproduction.sources import Quantities, Rows
+from fiplib.reproduction.tables import Facts
 
 
 class Row(NamedTuple):
@@ -40,18 +33,14 @@ class Row(NamedTuple):
     facts: Mapping[str, str]
 
 
-def evaluate(data: Path = Path("data"), benchmarks: Path = Path("benchmarks")) -> list[Row]:
-    """Judge every claim on the bags in ``data`` and the tables in ``benchmarks``. Raises BagError and JournalError."""
-    sources: dict[str, Flight | Mapping[str, float] | Rows] = {}
-    for name in dict.fromkeys(name for claim in CLAIMS for name in claim.bags):
-        if name.startswith("sweeps/"):
-            sources[name] = read_rows(name.removeprefix("sweeps/"), data)
-        else:
-            sources[name] = quantities(benchmarks / name) if name.endswith(".csv") else bags.read(data / name)
-    return [judged(claim, [sources[name] for name in claim.bags]) for claim in CLAIMS]
+def evaluate(data: Path = Path("data")) -> list[Row]:
+    """Judge every claim on its sources in ``data`` and ``benchmarks/`` beside it. Raises BagError and JournalError."""
+    read = {tuple(claim.names): claim for claim in CLAIMS}
+    sources = {names: claim.read(data) for names, claim in read.items()}
+    return [judged(claim, sources[tuple(claim.names)]) for claim in CLAIMS]
 
 
-def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows]) -> Row:
+def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
     """The row of one claim, from what it is read from."""
     found = claim.judge(claim.paper, *sources)
     paper, ours = (
@@ -60,7 +49,7 @@ def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows])
     )
     studied = {"simulated" for source in sources if isinstance(source, list)}
     origins = sorted(studied | {source.metadata["origin"] for source in sources if isinstance(source, Flight)})
-    bag = ", ".join(claim.bags) + (f" ({' and '.join(origins)})" if origins else "")
+    bag = ", ".join(claim.names) + (f" ({' and '.join(origins)})" if origins else "")
     facts = {name: f"{value:.3g}" for name, value in found.facts.items()}
     return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)
 
@@ -68,17 +57,9 @@ def judged(claim: Claim, sources: Sequence[Flight | Mapping[str, float] | Rows])
 def as_csv(rows: Sequence[Row]) -> str:
     """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag, command."""
     text = io.StringIO()
-    lines = [(*Row._fields[:-1], "command"), *((*row[:-1], command(BY_ID[row.id])) for row in rows)]
+    lines = [(*Row._fields[:-1], "command"), *((*row[:-1], BY_ID[row.id].command) for row in rows)]
     csv.writer(text, lineterminator="\n").writerows(lines)
     return text.getvalue()
-
-
-def command(claim: Claim) -> str:
-    """What computes a claim's row from the beginning."""
-    studies = [name.removeprefix("sweeps/") for name in claim.bags if name.startswith("sweeps/")]
-    benchmarks = [name.removesuffix(".csv") for name in claim.bags if name.endswith(".csv")]
-    flown = len(claim.bags) > len(studies) + len(benchmarks)
-    return journal.command(bags=flown, studies=studies, benchmarks=benchmarks)
 
 
 WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
@@ -125,7 +106,7 @@ def counted(rows: Sequence[Row]) -> dict[str, int]:
     return {str(kind): count[kind] for kind in Verdict}
 
 
-def macros(rows: Sequence[Row], params: Params, facts: Mapping[tuple[str, ...], str]) -> dict[str, str]:
+def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:
     """Every number of the report by name: Paper, Ours, Verdict + row; Fact + row + name; Count + name of a verdict;
     Param + group + field for each finite scalar parameter, with a few derived ones; Study + names of ``facts``."""
     values = {
@@ -155,11 +136,9 @@ def macro(*words: str) -> str:
     return "".join(digits[int(part)] if part.isdigit() else part[0].upper() + part[1:] for part in parts)
 
 
-def write(
-    rows: Sequence[Row], figures: Path, generated: Path, facts: Mapping[tuple[str, ...], str] = MappingProxyType({})
-) -> list[Path]:
+def write(rows: Sequence[Row], figures: Path, generated: Path, facts: Facts | None = None) -> list[Path]:
     """Write claims.csv and claims.txt into ``figures``, numbers.tex and claims-table.tex into ``generated``."""
-    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params(), facts).items()]
+    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params(), facts or {}).items()]
     contents = {
         figures / "claims.csv": as_csv(rows),
         figures / "claims.txt": as_text(rows),
@@ -172,25 +151,12 @@ def write(
     return list(contents)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line. Returns the exit code: 0, or 2 with one line on stderr."""
-    parser = argparse.ArgumentParser(
-        prog="python -m fiplib.reproduction.ledger", description="Hold our flights against the paper."
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip claims``."""
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--benchmarks", type=Path, default=Path("benchmarks"), help="folder of their tables")
-    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder for claims.csv and claims.txt")
-    parser.add_argument("--generated", type=Path, default=Path("paper/generated"), help="folder for the LaTeX files")
-    options = parser.parse_args(arguments)
-    try:
-        facts = summaries.facts({study: read_rows(study, options.data) for study in summaries.FACTS})
-        rows = evaluate(options.data, options.benchmarks)
-        print("wrote", *write(rows, options.figures, options.generated, facts))
-    except (BagError, JournalError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge every claim and print the ledger; return the exit status. Raises BagError and JournalError."""
+    print(as_text(evaluate(options.data)))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""The paper's tables, from the parameters and from recorded bags: flights in, ``Table`` out."""
+"""Tables as text, and those of the paper: from the parameters and from recorded flights."""
 
 import csv
 import io
@@ -10,6 +10,12 @@ import numpy as np
 from fiplib.params import STATES, Params
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
+
+NONE = "--"
+"""A cell without a value."""
+
+Facts = dict[tuple[str, ...], str]
+"""Numbers as the report prints them, by the words of their names."""
 
 
 class Table(NamedTuple):
@@ -35,6 +41,11 @@ class Table(NamedTuple):
         lines = [" & ".join(row) + r" \\" for row in (self.header, *self.rows)]
         body = "\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"])
         return f"\\begin{{tabular}}{{{self.alignment}}}\n{body}\n\\end{{tabular}}\n"
+
+
+def number(value: float, decimals: int) -> str:
+    """A cell with a number, which may be negative."""
+    return f"{value:.{decimals}f}".replace("-", "$-$")
 
 
 def plain(cell: str) -> str:

@@ -7,6 +7,8 @@ import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from fiplib.params import FipError
+
 if TYPE_CHECKING:
     from distributed import Client
 
@@ -25,8 +27,8 @@ DASK = {
 """Diagnostics that a sweep has no use for, off; the dashboard is off too. Nothing listens beyond this machine."""
 
 
-class ClusterError(Exception):
-    """A cluster that is not there, or no longer, in one line for its user."""
+class ClusterError(FipError):
+    """A cluster that is not there, or no longer."""
 
 
 def dask_setup(worker: object) -> None:

@@ -11,18 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fiplib.reproduction.rows import JournalError
-
-BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py", "deadlines": "bench_deadlines.py"}
-"""The tables of ``benchmarks/``, each with the script there that writes it when called with ``--save``."""
-
-
-def command(*, bags: bool = False, studies: Sequence[str] = (), benchmarks: Sequence[str] = ()) -> str:
-    """What computes a result from the beginning: the flights, studies and measured times that it is made of, itself."""
-    steps = ["make bags"] if bags else []
-    steps += [f"make sweep STUDIES='{' '.join(studies)}'"] if studies else []
-    steps += [f"python benchmarks/{BENCHMARKS[table]} --save" for table in benchmarks]
-    return "; ".join([*steps, "make figures"])
+from fiplib.reproduction.sources import JournalError
 
 
 def text(value: Any) -> str:

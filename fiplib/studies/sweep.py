@@ -1,4 +1,4 @@
-"""Studies of many flights, on all cores or a Dask cluster: ``python -m fiplib.studies.sweep NAME``.
+"""Studies of many flights, on all cores or a Dask cluster: ``fip sweep NAME``.
 
 Each finished case is one row, written at once to ``data/sweeps/NAME.partial.csv``: whatever stops a sweep, the same
 command continues it. When no case is left the rows, sorted, become ``data/sweeps/NAME.csv``; its bytes depend neither
@@ -15,14 +15,14 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from fiplib import studies
-from fiplib.reproduction.rows import JournalError
+from fiplib.params import FipError
 from fiplib.studies import cluster
 from fiplib.studies.cluster import ClusterError
 from fiplib.studies.journal import Journal, named, text
@@ -39,18 +39,18 @@ REPORTED = 10
 """Failed cases that are reported one by one; the rest is counted."""
 
 
-class SweepError(Exception):
-    """A study that cannot be swept, in one line for its user."""
+class SweepError(FipError):
+    """A study that cannot be swept."""
 
 
-def load(name: str) -> tuple[Any, list[dict]]:
-    """The module of a study and its cases, sorted by its keys.
+def load(name: str, address: str) -> tuple[Any, list[dict]]:
+    """Import the study at an address; returns it and its cases, sorted by its keys.
 
     Raises:
         SweepError: the module cannot be imported, or its cases do not differ in their keys.
     """
     try:
-        study = studies.load(name)
+        study = studies.load(address)
     except ImportError as error:
         raise SweepError(f"{name}: the study cannot be imported: {error}") from error
     cases = study.cases()
@@ -62,13 +62,16 @@ def load(name: str) -> tuple[Any, list[dict]]:
     return study, sorted(cases, key=lambda case: [(isinstance(case[key], str), case[key]) for key in study.KEYS])
 
 
-def sweep(name: str, journal: Journal, cases: list[dict], client: "Client", limit: int | None = None) -> int:
+def sweep(
+    name: str, address: str, journal: Journal, cases: list[dict], client: "Client", limit: int | None = None
+) -> int:
     """Run the cases of a study that its journal lacks.
 
     A case that raises is reported and left out; one whose worker died is run again, on another worker.
 
     Args:
-        name: the study, a key of ``studies.STUDIES``.
+        name: the study, as messages call it.
+        address: where workers find it, see ``studies.load``.
         journal: its finished rows; each is added, and safe on disk, as soon as it arrives.
         cases: all of its cases.
         client: the cluster.
@@ -90,7 +93,7 @@ def sweep(name: str, journal: Journal, cases: list[dict], client: "Client", limi
     def submit(batch: list[dict]) -> None:
         if batch:
             # not `pure`: Dask must not take a result that an older version of the study has left on the scheduler
-            futures = client.map(studies.run, [studies.STUDIES[name]] * len(batch), batch, pure=False)
+            futures = client.map(studies.run, [address] * len(batch), batch, pure=False)
             running.update(zip(futures, batch, strict=True))
             completed.update(futures)
 
@@ -169,10 +172,9 @@ def _reason(result: tuple[type, BaseException, Any]) -> str:
     return repr(error) + "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit code: 0, 1 for failed cases or an error, 130 when interrupted."""
-    parser = argparse.ArgumentParser(prog="python -m fiplib.studies.sweep", description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"a study: {', '.join(studies.STUDIES)}")
+def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str] = studies.STUDIES) -> None:
+    """Declare the options of ``fip sweep`` for the studies ``known``, addresses by name."""
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"a study: {', '.join(known)}")
     parser.add_argument("--all", action="store_true", help="every study")
     parser.add_argument("--list", action="store_true", help="say what the studies are, and stop")
     parser.add_argument("--limit", type=int, metavar="N", help="run at most N cases of each study, as a trial")
@@ -185,33 +187,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--fresh", action="store_true", help="forget the rows of these studies and start anew")
     parser.add_argument("--data", type=Path, default=DIRECTORY, metavar="FOLDER", help="default: %(default)s")
-    options = parser.parse_args(arguments)
-    names = list(studies.STUDIES) if options.all or options.list else list(dict.fromkeys(options.names))
-    if unknown := [name for name in names if name not in studies.STUDIES]:
-        parser.error(f"unknown study {', '.join(unknown)}; there are {', '.join(studies.STUDIES)}")
+
+
+def run(options: argparse.Namespace, known: Mapping[str, str] = studies.STUDIES) -> int:
+    """Run those of the studies ``known`` that are asked for; return the exit status: 1 if a case failed.
+
+    Raises:
+        SweepError, ClusterError, JournalError: a mistake of the user, or a cluster that was lost.
+    """
+    names = list(known) if options.all or options.list else list(dict.fromkeys(options.names))
+    if unknown := [name for name in names if name not in known]:
+        raise SweepError(f"unknown study {', '.join(unknown)}; there are {', '.join(known)}")
     if not names:
-        parser.error(f"name a study ({', '.join(studies.STUDIES)}), or --all")
-    for name in ("limit", "workers"):
-        if (value := getattr(options, name)) is not None and value < 1:
-            parser.error(f"--{name} must be at least 1")
-    try:
-        return _list(names) if options.list else _run(names, options)
-    except KeyboardInterrupt:
-        return 130
-    except (SweepError, ClusterError, JournalError, OSError) as error:
-        print(f"sweep: {error}", file=sys.stderr)
-        return 1
-
-
-def _list(names: list[str]) -> int:
-    for name in names:
-        study, cases = load(name)
-        print(f"{name:18}{len(cases):6} cases  {study.__doc__.splitlines()[0]}")
-    return 0
-
-
-def _run(names: list[str], options: argparse.Namespace) -> int:
-    loaded = {name: load(name) for name in names}
+        raise SweepError(f"name a study ({', '.join(known)}), or --all")
+    for option, value in (("limit", options.limit), ("workers", options.workers)):
+        if value is not None and value < 1:
+            raise SweepError(f"--{option} must be at least 1")
+    loaded = {name: load(name, known[name]) for name in names}
+    if options.list:
+        for name, (study, cases) in loaded.items():
+            print(f"{name:18}{len(cases):6} cases  {study.__doc__.splitlines()[0]}")
+        return 0
     journals = {
         name: Journal(options.data / f"{name}.csv", study.KEYS, options.fresh) for name, (study, _) in loaded.items()
     }
@@ -222,7 +218,7 @@ def _run(names: list[str], options: argparse.Namespace) -> int:
             journal = journals[name]
             try:
                 if client is not None:
-                    failed += sweep(name, journal, cases, client, options.limit)
+                    failed += sweep(name, known[name], journal, cases, client, options.limit)
             finally:
                 done = journal.holds(cases)
                 if done == len(cases):
@@ -232,7 +228,3 @@ def _run(names: list[str], options: argparse.Namespace) -> int:
                     again = "the same command without --fresh" if options.fresh else "the same command"
                     print(f"{name}: {done} of {len(cases)} cases are kept; {again} goes on from there", file=sys.stderr)
     return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

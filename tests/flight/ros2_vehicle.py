@@ -1,6 +1,6 @@
 """A simulated vehicle behind ROS 2 topics, in real time: for the tests, and to try ``--link ros2`` without hardware.
 
-    python tests/ros2_vehicle.py
+    python tests/flight/ros2_vehicle.py
     python scripts/fly.py --scenario estimate-1.4 --link ros2 --ros2-origin simulated
 
 Publishes the poses of vehicle and pendulum and the true state, obeys TwistStamped commands, and holds the vehicle in

@@ -696,4 +696,4 @@ def test_a_mistake_is_answered_in_one_line_before_anything_is_recorded(arguments
 @pytest.mark.realtime
 def test_a_baud_that_no_module_listens_at_is_refused_with_those_that_it_does(module, tmp_path):
     answer = subprocess.run(command(module, tmp_path / "bag", "--crsf-baud", 420000), capture_output=True, text=True)
-    assert answer.returncode == 2 and "invalid choice" in answer.stderr and "921600" in answer.stderr
+    assert answer.returncode == 2 and "choose from" in answer.stderr and "921600" in answer.stderr

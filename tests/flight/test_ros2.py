@@ -233,7 +233,7 @@ def free_domain() -> int:
 def vehicle(python: str, surroundings: dict[str, str], *arguments: str) -> Iterator[dict[str, Any]]:
     """A simulated vehicle; what became of it is in the dictionary afterwards (see ``ros2_vehicle.fly``)."""
     process = subprocess.Popen(
-        [python, ROOT / "tests/ros2_vehicle.py", *arguments],
+        [python, ROOT / "tests/flight/ros2_vehicle.py", *arguments],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=surroundings,
     )  # fmt: skip
     told: dict[str, Any] = {}

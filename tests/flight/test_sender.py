@@ -188,7 +188,7 @@ PILOT = """
 import ctypes, functools, sys, time
 from pathlib import Path
 sys.path.insert(0, {root!r})
-from tests.flight.test_sender import PARAMS, FileSink, flown
+from tests.flight.test_sender import LIMITS, PARAMS, FileSink, flown
 from fiplib.flight.sender import Sender
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from fiplib.pilot import Circle
 from fiplib.recording import BagError, Event, Flight, Poses, Series
 from fiplib.reproduction import claims, ledger, measures
 from fiplib.reproduction.claims import Verdict
-from fiplib.reproduction.rows import JournalError, quantities
+from fiplib.reproduction.sources import JournalError, quantities
 
 ROOT = Path(__file__).parents[2]
 RATE = 120
@@ -452,7 +452,7 @@ def judged_rows() -> list[ledger.Row]:
     """The whole ledger on the recorded flights, but with a single window each refitted: enough for its form."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replay, "STRIDE", 1000)
-        return ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
+        return ledger.evaluate(ROOT / "data")
 
 
 def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(judged_rows):
@@ -463,11 +463,10 @@ def test_the_csv_has_the_columns_and_verdicts_of_a_ledger(judged_rows):
     for row in rows:
         assert row["claim"] and row["unit"] and row["reading"], row["id"]
         assert all(math.isfinite(float(row[column] or 0)) for column in ("paper", "ours")), row["id"]
-        names = claims.BY_ID[row["id"]].bags
-        simulated = [name for name in names if not name.endswith(".csv")]
-        assert row["bag"] == ", ".join(names) + (" (simulated)" if simulated else "")
+        claim = claims.BY_ID[row["id"]]
+        assert row["bag"] == ", ".join(claim.names) + (" (simulated)" if claim.bags or claim.studies else "")
         assert row["command"].endswith("make figures")
-        assert ("make bags" in row["command"]) == any("/" not in name for name in simulated)
+        assert ("make bags" in row["command"]) == bool(claim.bags)
 
 
 def test_the_text_fits_a_wide_terminal_and_holds_every_row(judged_rows):
@@ -501,31 +500,29 @@ def test_macros_are_named_by_letters_alone_and_hold_plain_numbers_or_verdicts(ju
 def test_the_same_bags_give_the_same_bytes(judged_rows, tmp_path, monkeypatch):
     monkeypatch.setattr(replay, "STRIDE", 1000)
     claims.search_gaps.cache_clear()
-    again = ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
+    again = ledger.evaluate(ROOT / "data")
     first = ledger.write(judged_rows, tmp_path / "1", tmp_path / "1")
     second = ledger.write(again, tmp_path / "2", tmp_path / "2")
     assert [path.name for path in first] == ["claims.csv", "claims.txt", "numbers.tex", "claims-table.tex"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
-def test_a_missing_bag_is_one_line_and_exit_code_2(tmp_path, capsys):
-    assert ledger.main(["--data", str(tmp_path), "--figures", str(tmp_path), "--generated", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "push-hover" in error
-    assert list(tmp_path.iterdir()) == []
+def test_a_missing_bag_is_named(tmp_path):
+    with pytest.raises(BagError, match="push-hover"):
+        ledger.evaluate(tmp_path)
 
 
 def test_no_claim_looks_at_the_simulators_truth(judged_rows):
     """The same flights without their /truth topics give the same rows but for the refitted ones, left out for time."""
     flown = {claim.id: claim for claim in claims.CLAIMS if claim.judge is not claims.printed_fitness}
-    names = {name for claim in flown.values() for name in claim.bags if not name.endswith(".csv") and "/" not in name}
+    names = {name for claim in flown.values() for name in claim.bags}
     blind = {name: bags.read(ROOT / "data" / name) for name in sorted(names)}
     for flight in blind.values():
         object.__setattr__(flight, "truth_state", None)
         object.__setattr__(flight, "truth_length", None)
     for row in judged_rows:
         claim = flown.get(row.id)
-        if claim and set(claim.bags) <= set(blind) and not row.id.startswith("G4."):
+        if claim and claim.bags and not row.id.startswith("G4."):
             assert ledger.judged(claim, [blind[name] for name in claim.bags]) == row
 
 

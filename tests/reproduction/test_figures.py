@@ -12,7 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fiplib.reproduction import figures, tables
+from fiplib import products
+from fiplib.params import FipError
+from fiplib.products import PRODUCTS
+from fiplib.reproduction import tables
+from fiplib.reproduction.style import COLUMN, STYLE
 from fiplib.reproduction.tables import Table
 
 ROOT = Path(__file__).parents[2]
@@ -21,11 +25,11 @@ DATA = ROOT / "data"
 
 @pytest.fixture(scope="module")
 def made() -> dict[str, Figure | Table]:
-    return {name: figures.make(name, DATA) for name in figures.FIGURES}
+    return {name: products.make(name, DATA) for name in PRODUCTS}
 
 
-DRAWN = [name for name in figures.FIGURES if name.startswith("fig")]
-TABLES = [name for name in figures.FIGURES if name.startswith("table")]
+DRAWN = [name for name in PRODUCTS if name.startswith("fig")]
+TABLES = [name for name in PRODUCTS if name.startswith("table")]
 
 
 def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
@@ -33,10 +37,10 @@ def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_the
     assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 12)]
 
 
-@pytest.mark.parametrize("name", figures.FIGURES)
+@pytest.mark.parametrize("name", PRODUCTS)
 def test_writing_twice_gives_the_same_bytes(name, made, tmp_path):
-    first = figures.write(name, made[name], tmp_path / "first")
-    again = figures.write(name, figures.make(name, DATA), tmp_path / "again")
+    first = products.write(name, made[name], tmp_path / "first")
+    again = products.write(name, products.make(name, DATA), tmp_path / "again")
     assert len(first) == 2
     for one, other in zip(first, again, strict=True):
         assert hashlib.sha256(one.read_bytes()).digest() == hashlib.sha256(other.read_bytes()).digest(), one.name
@@ -45,8 +49,8 @@ def test_writing_twice_gives_the_same_bytes(name, made, tmp_path):
 @pytest.mark.parametrize("name", DRAWN)
 def test_a_figure_is_one_column_wide_and_its_text_is_legible_and_inside(name, made):
     figure = made[name]
-    assert figure.get_figwidth() == figures.COLUMN
-    with mpl.rc_context(figures.STYLE):
+    assert figure.get_figwidth() == COLUMN
+    with mpl.rc_context(STYLE):
         FigureCanvasAgg(figure).draw()
         bounds = figure.bbox.padded(2)  # pixels at 100 dpi: what rounding of a text's box may stick out
         for text in _words(figure):
@@ -67,25 +71,25 @@ def _words(figure: Figure) -> list[Text]:
     return words
 
 
-@pytest.mark.parametrize("name", [name for name in DRAWN if figures.FIGURES[name].bags])
+@pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])
 def test_a_figure_made_from_flights_says_that_they_are_simulated_and_which(name, made):
     words = " ".join(text.get_text() for text in made[name].findobj(Text))
     assert "simulated" in words
-    for bag in figures.FIGURES[name].bags:
+    for bag in PRODUCTS[name].bags:
         assert bag in words
 
 
-@pytest.mark.parametrize("name", [n for n in DRAWN if figures.FIGURES[n].studies or figures.FIGURES[n].benchmarks])
+@pytest.mark.parametrize("name", [n for n in DRAWN if PRODUCTS[n].studies or PRODUCTS[n].benchmarks])
 def test_a_figure_made_from_a_study_says_that_it_is_simulated(name, made):
     assert "simulated" in " ".join(text.get_text() for text in made[name].findobj(Text))
 
 
-def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path, capsys):
-    assert figures.main(["fig7-survival", "--data", str(tmp_path), "--output", str(tmp_path)]) == 2
-    assert "survival.csv is missing: make sweep STUDIES=survival" in capsys.readouterr().err
+def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(FipError, match="survival is missing: make sweep STUDIES='survival'"):
+        products.make("fig7-survival", tmp_path)
 
 
-@pytest.mark.parametrize("name", [name for name in DRAWN if figures.FIGURES[name].bags])
+@pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])
 def test_every_axis_has_a_label_with_its_unit(name, made):
     axes = made[name].axes
     for one in axes:
@@ -104,26 +108,6 @@ def test_a_table_is_the_same_in_csv_and_latex(name, made):
         [cell.strip() for cell in row[:-1]] for row in (header, *rows)
     ]
     assert not any(mark in cell for row in (header, *rows) for cell in row for mark in "$\\{}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["fig9-moon"], "no figure 'fig9-moon'; there are fig1-flight"),
-        (["fig3-pushes", "--data", "nowhere"], "nowhere"),
-    ],
-)
-def test_a_mistake_at_the_command_line_is_one_line(arguments, message, capsys, tmp_path):
-    assert figures.main([*arguments, "--output", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
-
-
-def test_list_names_each_figure_with_its_bags(capsys):
-    assert figures.main(["--list"]) == 0
-    listed = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert list(listed) == list(figures.FIGURES)
-    assert "push-hover" in listed["fig3-pushes"]
 
 
 def test_markup_is_taken_out_of_cells():

@@ -10,11 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from fiplib import replay
+from fiplib import products, replay
 from fiplib.params import Params
-from fiplib.reproduction import claims, figures, ledger
-from fiplib.reproduction.rows import read as read_rows
-from fiplib.studies import summaries
+from fiplib.reproduction import claims, ledger
 
 ROOT = Path(__file__).parents[2]
 PAPER = ROOT / "paper"
@@ -88,8 +86,8 @@ def included(tex: str) -> tuple[set[str], set[str]]:
 def missing_files(tex: str) -> set[str]:
     """What is included and made by nothing."""
     shown, read = included(tex)
-    made = {f"../figures/{name}" for name in figures.FIGURES} | GENERATED
-    return (shown - set(figures.FIGURES)) | (read - made)
+    made = {f"../figures/{name}" for name in products.PRODUCTS} | GENERATED
+    return (shown - set(products.PRODUCTS)) | (read - made)
 
 
 def unlabelled(tex: str) -> set[str]:
@@ -112,12 +110,12 @@ def judged_rows() -> list[ledger.Row]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replay, "STRIDE", 1000)
         claims.search_gaps.cache_clear()
-        return ledger.evaluate(ROOT / "data", ROOT / "benchmarks")
+        return ledger.evaluate(ROOT / "data")
 
 
 @pytest.fixture(scope="module")
 def facts() -> dict[tuple[str, ...], str]:
-    return summaries.facts({study: read_rows(study, ROOT / "data") for study in summaries.FACTS})
+    return products.facts(ROOT / "data")
 
 
 # --- the report
@@ -234,7 +232,7 @@ def test_the_report_is_typeset_twice_to_the_same_bytes_without_a_missing_piece(r
         pytest.skip("LaTeX is here but not elsarticle and siunitx; see make latex")
     shown, read = included(report)
     for name in shown | {Path(path).name for path in read if path.startswith("../figures/")}:
-        figures.write(name, figures.make(name, ROOT / "data"), tmp_path / "figures")
+        products.write(name, products.make(name, ROOT / "data"), tmp_path / "figures")
     paper = tmp_path / "paper"
     shutil.copytree(PAPER, paper, ignore=shutil.ignore_patterns("build", "generated"))
     ledger.write(judged_rows, tmp_path / "figures", paper / "generated", facts)

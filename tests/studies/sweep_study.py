@@ -2,9 +2,10 @@
 
 import os
 
-from fiplib.params import A, Params
+from fiplib.params import Params
 from fiplib.pilot import Hover
 from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("length", "seed")
 
@@ -17,6 +18,12 @@ def run(case: dict) -> dict[str, float | str]:
     if case["seed"] < 0:
         os._exit(1)  # as a segmentation fault or the kernel short of memory end a worker
     params = Params().replace(pendulum__length=case["length"])
-    flight = fly(Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"]))
-    lean = float(flight.truth_state.values[-1, A])
-    return {"duration": flight.duration, "survived": flight.survived, "lean": lean, "lean_bits": lean.hex()}
+    scenario = Scenario("short", "", 1.0, Hover(), params=params, seed=case["seed"])
+    flight = fly(scenario)
+    lean = float(flight.truth_state.values[-1, 4])
+    return {
+        "duration": seconds_flown(flight, scenario),
+        "survived": flight.survived,
+        "lean": lean,
+        "lean_bits": lean.hex(),
+    }

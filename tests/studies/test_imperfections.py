@@ -98,8 +98,11 @@ def test_the_wandering_that_is_most_likely_is_the_one_that_was_put_in(brief):
 
 def test_flying_with_another_vehicle_changes_nothing_but_the_vehicle(brief):
     perfect = Scenario("circle", "", 3.0, study.CIRCLE, seed=40_001)
-    other = fly(perfect, vehicle=lambda *about: study.ImperfectPlant(*about, imperfection=study.Imperfection(), seed=1))
-    np.testing.assert_array_equal(fly(perfect).truth_state.values, other.truth_state.values)
+    same = fly(
+        perfect,
+        vehicle=lambda *about: study.ImperfectPlant(*about, imperfection=study.Imperfection(), seed=1),
+    )
+    np.testing.assert_array_equal(fly(perfect).truth_state.values, same.truth_state.values)
 
 
 def test_what_is_misread_is_misread_by_as_much_as_is_said(brief):

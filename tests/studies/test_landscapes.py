@@ -12,7 +12,6 @@ from fiplib import ga, kalman
 from fiplib.dynamics import axis_matrices, jacobians, prediction_model, rk4
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, AXES, B_DOT, GRAVITY, A, B, Estimation, Params
-from fiplib.studies import landscape_curves
 from fiplib.studies import landscapes as study
 
 STEP = 0.1
@@ -333,11 +332,11 @@ def test_a_case_runs_over_all_lengths_and_its_row_says_what_the_windows_said() -
 
 
 def test_curves_start_from_zero_and_their_median_is_one() -> None:
-    cases = landscape_curves.cases()
-    assert len({tuple(case[key] for key in landscape_curves.KEYS) for case in cases}) == len(cases) == 9 * 2 * 181
-    for noise in landscape_curves.NOISES:
+    cases = study.Curves.cases()
+    assert len({tuple(case[key] for key in study.Curves.KEYS) for case in cases}) == len(cases) == 9 * 2 * 181
+    for noise in study.CURVE_NOISES:
         rows = [
-            landscape_curves.run(case)
+            study.Curves.run(case)
             for case in cases
             if case["noise"] == noise and case["reading"] == "printed_posterior"
         ]

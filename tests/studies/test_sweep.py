@@ -1,5 +1,6 @@
 """Sweeps: no flight is lost to a dead worker, an interrupt or a torn line, and the table is the same bytes always."""
 
+import argparse
 import ast
 import os
 import random
@@ -14,9 +15,10 @@ from pathlib import Path
 import pytest
 from dask import config as dask_config
 
-from fiplib import studies
-from fiplib.reproduction.rows import JournalError
-from fiplib.studies import sweep
+from fiplib.params import FipError
+from fiplib.reproduction.sources import JournalError
+from fiplib.studies import STUDIES, sweep
+from fiplib.studies.cluster import ClusterError
 from fiplib.studies.journal import Journal, text
 from tests.studies import sweep_study
 
@@ -79,10 +81,19 @@ class Cluster:
             process.wait()
 
 
+KNOWN = {NAME: "tests.studies.sweep_study"}
+
+
+def swept(*arguments: str | Path) -> int:
+    """``fip sweep`` with these arguments, where the small study is the only one."""
+    parser = argparse.ArgumentParser()
+    sweep.add_arguments(parser, KNOWN)
+    return sweep.run(parser.parse_args(list(map(str, arguments))), KNOWN)
+
+
 @pytest.fixture
 def study(monkeypatch: pytest.MonkeyPatch) -> str:
-    """The small study, registered for one test, and no cluster from the environment."""
-    monkeypatch.setitem(studies.STUDIES, NAME, "sweep_study")
+    """The small study, and no cluster from the environment."""
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
     return NAME
 
@@ -120,7 +131,7 @@ def test_a_killed_worker_loses_no_flight(study, cluster, tmp_path, serial, expec
         first.send_signal(signal.SIGKILL)
 
     threading.Thread(target=strike).start()
-    assert sweep.main([study, "--scheduler", cluster.address, "--data", str(tmp_path)]) == 0
+    assert swept(study, "--scheduler", cluster.address, "--data", tmp_path) == 0
     assert first.wait(PATIENCE) == -signal.SIGKILL
     assert second.poll() is None
     assert 4 <= seen[0] < len(serial), "the worker was to die while flights were still to be flown"
@@ -135,12 +146,10 @@ def test_a_killed_worker_loses_no_flight(study, cluster, tmp_path, serial, expec
 def test_an_interrupted_sweep_leaves_no_process_and_goes_on_where_it_was(
     study, cluster, tmp_path, expected, capfd, monkeypatch
 ):
-    code = f"import sys; from fiplib import studies, sweep; studies.STUDIES[{NAME!r}] = 'sweep_study'; "
-    code += (
-        f"__name__ == '__main__' and sys.exit(sweep.main([{NAME!r}, '--workers', '1', '--data', {str(tmp_path)!r}]))"
-    )
+    code = "import sys\nfrom tests.studies.test_sweep import swept\n"
+    code += "try:\n    swept(*sys.argv[1:])\nexcept KeyboardInterrupt:\n    sys.exit(130)\n"
     run = subprocess.Popen(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", code, NAME, "--workers", "1", "--data", tmp_path],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stderr=subprocess.PIPE,
         text=True,
@@ -163,12 +172,12 @@ def test_an_interrupted_sweep_leaves_no_process_and_goes_on_where_it_was(
     marked = kept[1].rsplit(",", 1)[0] + ",kept"
     partial.write_text("\n".join([kept[0], marked, *kept[2:]]) + "\n")
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", cluster.address)
-    assert sweep.main([study, "--data", str(tmp_path)]) == 0
+    assert swept(study, "--data", tmp_path) == 0
     assert (tmp_path / f"{NAME}.csv").read_bytes() == expected.replace(kept[1].encode(), marked.encode())
     assert not partial.exists()
     # Nothing is left to do: no cluster is asked for, and the file is left alone.
     before = (tmp_path / f"{NAME}.csv").stat().st_mtime_ns
-    assert sweep.main([study, "--data", str(tmp_path), "--scheduler", "tcp://127.0.0.1:1"]) == 0
+    assert swept(study, "--data", tmp_path, "--scheduler", "tcp://127.0.0.1:1") == 0
     assert (tmp_path / f"{NAME}.csv").stat().st_mtime_ns == before
     assert "complete, 15 cases" in capfd.readouterr().err
 
@@ -182,8 +191,8 @@ def _group_lives(group: int) -> bool:
 
 
 def test_a_trial_and_a_torn_line_cost_nothing_but_the_torn_row(study, cluster, tmp_path, expected, capfd):
-    arguments = [study, "--scheduler", cluster.address, "--data", str(tmp_path)]
-    assert sweep.main([*arguments, "--limit", "5"]) == 0
+    arguments = [study, "--scheduler", cluster.address, "--data", tmp_path]
+    assert swept(*arguments, "--limit", "5") == 0
     partial = tmp_path / f"{NAME}.partial.csv"
     rows = lines(partial)[1:]
     assert len(rows) == 5
@@ -191,17 +200,17 @@ def test_a_trial_and_a_torn_line_cost_nothing_but_the_torn_row(study, cluster, t
     assert "5 of 15 cases are kept" in capfd.readouterr().err
     content = partial.read_bytes()
     partial.write_bytes(content[:-7])
-    assert sweep.main([*arguments, "--limit", "1"]) == 0
+    assert swept(*arguments, "--limit", "1") == 0
     assert len(lines(partial)) == 6
     assert {row.encode() for row in lines(partial)} <= set(expected.splitlines())
-    assert sweep.main(arguments) == 0
+    assert swept(*arguments) == 0
     assert (tmp_path / f"{NAME}.csv").read_bytes() == expected
 
 
 def test_a_failing_case_is_named_and_stops_no_other(study, cluster, tmp_path, monkeypatch, capfd):
     good = sweep_study.cases()[:2]
     monkeypatch.setattr(sweep_study, "cases", lambda: [{"length": -1.0, "seed": 3}, *good])
-    assert sweep.main([study, "--scheduler", cluster.address, "--data", str(tmp_path)]) == 1
+    assert swept(study, "--scheduler", cluster.address, "--data", tmp_path) == 1
     errors = capfd.readouterr().err
     assert "case length=-1 seed=3 failed: ValueError('pendulum.length must be" in errors
     assert "params.py:" in errors
@@ -210,7 +219,7 @@ def test_a_failing_case_is_named_and_stops_no_other(study, cluster, tmp_path, mo
     assert not (tmp_path / f"{NAME}.csv").exists()
     # Once the case can be flown, it alone is flown: the table is complete.
     monkeypatch.setattr(sweep_study, "cases", lambda: [{"length": 1.0, "seed": 0}, *good])
-    assert sweep.main([study, "--scheduler", cluster.address, "--data", str(tmp_path)]) == 0
+    assert swept(study, "--scheduler", cluster.address, "--data", tmp_path) == 0
     assert [row[:8] for row in lines(tmp_path / f"{NAME}.csv")[1:]] == ["0.75,0,1", "1,0,1,1,", "1.25,0,1"]
 
 
@@ -219,7 +228,7 @@ def test_a_case_that_kills_its_workers_takes_no_other_with_it(study, tmp_path, m
     monkeypatch.setattr(sweep_study, "cases", lambda: [{"length": 1.0, "seed": -1}, *good])
     # Dask gives up on all that a dying worker held, after three deaths; after one, the neighbours are surely among it
     with dask_config.set({"distributed.scheduler.allowed-failures": 0}):
-        assert sweep.main([study, "--workers", "1", "--data", str(tmp_path)]) == 1
+        assert swept(study, "--workers", "1", "--data", tmp_path) == 1
     errors = capfd.readouterr().err
     assert "case length=1 seed=-1 failed: every worker that ran it died" in errors
     assert errors.count("failed:") == 1
@@ -234,13 +243,13 @@ def test_a_lost_scheduler_ends_the_sweep_with_what_is_kept(study, tmp_path, monk
         monkeypatch.setattr(sweep_study, "cases", lambda: many)
         strike = threading.Thread(target=lambda: within(lambda: len(lines(partial)) > 2) and started.scheduler.kill())
         strike.start()
-        assert sweep.main([study, "--scheduler", started.address, "--data", str(tmp_path)]) == 1
+        with pytest.raises(ClusterError, match=f"{NAME}: the scheduler is gone"):
+            swept(study, "--scheduler", started.address, "--data", tmp_path)
         strike.join()
     finally:
         started.close()
-    last = capfd.readouterr().err.splitlines()
-    assert last[-1] == f"sweep: {NAME}: the scheduler is gone"
-    assert f"{len(lines(partial)) - 1} of 500 cases are kept" in last[-2]
+    last = capfd.readouterr().err.splitlines()[-1]
+    assert f"{len(lines(partial)) - 1} of 500 cases are kept" in last
 
 
 def test_the_table_does_not_depend_on_the_order_of_arrival(serial, tmp_path, expected):
@@ -265,12 +274,10 @@ def test_the_table_does_not_depend_on_the_order_of_arrival(serial, tmp_path, exp
     ],
     ids=["other columns", "short row", "empty line", "not a table"],
 )
-def test_a_table_that_does_not_fit_the_study_is_refused_in_one_line(study, tmp_path, capfd, content, complaint):
+def test_a_table_that_does_not_fit_the_study_is_refused(study, tmp_path, content, complaint):
     (tmp_path / f"{NAME}.csv").write_text(content)
-    assert sweep.main([study, "--data", str(tmp_path)]) == 1
-    [line] = capfd.readouterr().err.splitlines()
-    assert complaint in line
-    assert "--fresh" in line
+    with pytest.raises(JournalError, match=f"{complaint}.*--fresh"):
+        swept(study, "--data", tmp_path)
     assert (tmp_path / f"{NAME}.csv").read_text() == content
 
 
@@ -286,33 +293,30 @@ def test_a_result_with_other_columns_is_refused_and_fresh_forgets_the_rows(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "complaint"),
+    ("arguments", "complaint"),
     [
-        (["nothing"], 2, "unknown study nothing; there are survival, "),
-        ([], 2, "name a study (survival, "),
-        ([NAME, "--limit", "0"], 2, "--limit must be at least 1"),
-        ([NAME, "--scheduler", "tcp://127.0.0.1:1"], 1, "sweep: no Dask scheduler answers at tcp://127.0.0.1:1"),
-        ([NAME, "--scheduler", "carrier-pigeon://x"], 1, "sweep: no Dask scheduler answers at carrier-pigeon://x"),
+        (["nothing"], f"unknown study nothing; there are {NAME}"),
+        ([], f"name a study \\({NAME}\\), or --all"),
+        ([NAME, "--limit", "0"], "--limit must be at least 1"),
+        ([NAME, "--scheduler", "tcp://127.0.0.1:1"], "no Dask scheduler answers at tcp://127.0.0.1:1"),
+        ([NAME, "--scheduler", "carrier-pigeon://x"], "no Dask scheduler answers at carrier-pigeon://x"),
     ],
     ids=["unknown study", "no study", "no cases", "nobody answers", "no address"],
 )
-def test_a_mistake_on_the_command_line_gets_one_clear_line(
-    study, tmp_path, capfd, monkeypatch, arguments, code, complaint
-):
+def test_a_mistake_on_the_command_line_is_said_in_one_sentence(study, tmp_path, monkeypatch, arguments, complaint):
     monkeypatch.setattr("fiplib.studies.cluster.CONNECT_TIMEOUT", 0.5)
-    try:
-        given = sweep.main([*arguments, "--data", str(tmp_path)])
-    except SystemExit as stop:
-        given = stop.code
-    errors = capfd.readouterr().err
-    assert given == code
-    assert complaint in errors.splitlines()[-1]
-    assert "Traceback" not in errors
+    with pytest.raises(FipError, match=complaint):
+        swept(*arguments, "--data", tmp_path)
 
 
-@pytest.mark.parametrize("name", studies.STUDIES)
+def test_list_names_each_study_with_its_cases(study, capsys):
+    assert swept("--list") == 0
+    assert capsys.readouterr().out.startswith(f"{NAME:18}    15 cases  A small study")
+
+
+@pytest.mark.parametrize("name", STUDIES)
 def test_a_registered_study_keeps_to_the_contract(name):
-    study, cases = sweep.load(name)  # that it checks the keys is shown below
+    study, cases = sweep.load(name, STUDIES[name])  # that it checks the keys is shown below
     assert study.cases() == study.cases()
     assert cases
     assert callable(study.run)
@@ -332,4 +336,4 @@ def test_a_registered_study_keeps_to_the_contract(name):
 def test_cases_that_their_keys_do_not_tell_apart_are_refused(study, monkeypatch, cases, complaint):
     monkeypatch.setattr(sweep_study, "cases", lambda: cases)
     with pytest.raises(sweep.SweepError, match=complaint):
-        sweep.load(study)
+        sweep.load(study, KNOWN[study])

@@ -80,7 +80,7 @@ def test_every_notebook_and_every_module_has_a_page(html):
 
 def test_a_link_to_a_module_in_a_notebook_becomes_one_to_its_page(html):
     page = book.Page((html / "notebooks/09-paper-figures.html").read_text())
-    assert "../api/fiplib.reproduction.figures.html" in page.links
+    assert "../api/fiplib.products.html" in page.links
     assert "10-errata.html" in page.links
 
 

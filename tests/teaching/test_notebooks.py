@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from fiplib.products import PRODUCTS
+
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
@@ -97,12 +99,10 @@ def test_a_notebook_begins_with_text_and_ends_with_what_to_try(path):
 
 
 def test_the_ninth_notebook_shows_every_figure_and_walks_over_every_table():
-    from fiplib.reproduction.figures import FIGURES
-
     source = "\n".join(cells(ROOT / "notebooks/09-paper-figures.ipynb", "code"))
     shown = set(re.findall(r'make\("(fig\d+-\w+)", DATA\)', source))
-    assert shown == {name for name in FIGURES if name.startswith("fig")}
-    assert "for name in figures.FIGURES:" in source
+    assert shown == {name for name in PRODUCTS if name.startswith("fig")}
+    assert "for name in products.PRODUCTS:" in source
 
 
 SOUND = {

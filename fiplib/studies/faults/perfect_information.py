@@ -46,7 +46,7 @@ def balances(
     link, pilot = VirtualLink(replace(scenario, params=params)), Pilot(params, scenario.reference)
     now, frame = link.receive(0.0) or (EPOCH, None)
     plan: tuple[int, NDArray] | None = None
-    thrust, told = 0.0, -math.inf
+    thrust, last = 0.0, -math.inf
     while (at := (link.vehicle.flown or 0) / params.piloting.mocap_rate) < scenario.duration:
         setpoint = None
         tick = None if blind[0] <= at < blind[1] else pilot.observe(now, frame)
@@ -55,11 +55,11 @@ def balances(
         elif tick is not None:
             solution = pilot.solve(tick)
             command = pilot.answer(tick, solution.input, solution.status)
-            plan, thrust, told = (now, solution.inputs), command.thrust, now
+            plan, thrust, last = (now, solution.inputs), command.thrust, now
             setpoint = Setpoint(now, True, Mode.FLYING, command.body_rate, command.thrust)
-        elif plan is not None and now - told >= NANO / params.piloting.control_rate - 1:
+        elif plan is not None and now - last >= NANO / params.piloting.control_rate - 1:
             node = min(int((now - plan[0]) / NANO / params.control.step), len(plan[1]) - 1)
-            setpoint, told = Setpoint(now, True, Mode.FLYING, np.array([*plan[1][node], 0.0]), thrust), now
+            setpoint, last = Setpoint(now, True, Mode.FLYING, np.array([*plan[1][node], 0.0]), thrust), now
         if setpoint is not None and not deaf[0] <= at < deaf[1]:
             link.send(setpoint)
         now, frame = link.receive(0.0) or (now, frame)

@@ -106,7 +106,7 @@ class ProcessFault(Fault):
         up = max(at for at, setpoint in sent if setpoint.armed and setpoint.mode is not Mode.LEVEL)
         duration = float(self.arguments[self.arguments.index("--duration") + 1])
         upright = all(math.hypot(*truth[[4, 6]]) < 0.4 for at, truth in witness.truths if at <= up)
-        # the flight's end is told by the arrival of a frame
+        # the flight ends with the first frame after its duration
         balanced = (up - began) / NANO > duration - 0.1 and upright
         off = commands.disarming[0] if len(commands.disarming) else commands.last_armed
         stopped = next((truth for at, truth in witness.truths if at > off), None)

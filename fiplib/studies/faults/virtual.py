@@ -281,7 +281,7 @@ def _estimates(what: str, fault: EstimateFault) -> VirtualFault:
     return VirtualFault("estimator", what, ESTIMATED, estimates=fault)
 
 
-def _told(what: str, length: float) -> VirtualFault:
+def _prescribed(what: str, length: float) -> VirtualFault:
     return VirtualFault("estimator", what, replace(PRESCRIBED, told_lengths=((START, length),)))
 
 
@@ -364,9 +364,9 @@ VIRTUAL_FAULTS = {
     "estimate-wild": _estimates("estimates of 0.5 and 1.6 m in turn", inject.estimated(0.5, 1.6)),
     "estimate-fails": _estimates("exceptions in the estimator",
                                  lambda answer, count: Estimate(math.nan, math.nan, "ValueError: no fit")),
-    "length-jump-down": _told("told a jump of the length by -0.6 m", 0.4),
-    "length-jump-up": _told("told a jump of the length by 0.6 m", 1.6),
-    "length-jump-far": _told("told a jump of the length by 0.85 m", 1.85),
+    "length-jump-down": _prescribed("told a jump of the length by -0.6 m", 0.4),
+    "length-jump-up": _prescribed("told a jump of the length by 0.6 m", 1.6),
+    "length-jump-far": _prescribed("told a jump of the length by 0.85 m", 1.85),
     "deaf-50ms": _deaf("no command gets through for 50 ms", 0.05),
     "deaf-100ms": _deaf("no command gets through for 100 ms, pushed meanwhile", 0.1, PUSHED),
     "deaf-300ms": _deaf("no command gets through for 300 ms", 0.3),
