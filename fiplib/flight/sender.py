@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -29,6 +29,7 @@ WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
 MODES = list(Mode)
 LEAVE = b"leave"
+SPAWN = multiprocessing.get_context("spawn")
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
 HEARTBEAT = 0.05
@@ -115,14 +116,8 @@ class Counts(NamedTuple):
 
 
 def encode(setpoint: Setpoint) -> bytes:
-    return WIRE.pack(
-        setpoint.stamp,
-        setpoint.armed,
-        MODES.index(setpoint.mode),
-        *setpoint.body_rate,
-        setpoint.thrust,
-        *setpoint.tilt,
-    )
+    numbers = (*setpoint.body_rate, setpoint.thrust, *setpoint.tilt)
+    return WIRE.pack(setpoint.stamp, setpoint.armed, MODES.index(setpoint.mode), *numbers)
 
 
 def decode(data: bytes) -> Setpoint:
@@ -134,10 +129,7 @@ class Sender:
     """Sends setpoints from its own process; a context manager.
 
     Args:
-        open_sink: makes the sink, in the sender's process; must pickle (a class or function of a module, or a
-            ``functools.partial`` of one).
-        params: ``vehicle`` and ``pendulum``.
-        limits: ``safety``.
+        open_sink: makes the sink, in the sender's process; must pickle.
 
     Raises:
         SenderError: the process does not start, or the sink cannot be opened.
@@ -150,13 +142,11 @@ class Sender:
         self.counts = Counts()
         self.dropped = 0
         self._rescue: threading.Thread | None = None
-        context = multiprocessing.get_context("spawn")
-        receiver, self._setpoints = context.Pipe(duplex=False)
-        self._status, status = context.Pipe(duplex=False)
+        receiver, self._setpoints = SPAWN.Pipe(duplex=False)
+        self._status, status = SPAWN.Pipe(duplex=False)
+        task = (open_sink, params, limits, receiver, status)
         # a daemon is terminated and waited for when this process exits, and leaves in good order then
-        self._process = context.Process(
-            target=_serve, args=(open_sink, params, limits, receiver, status), name="fip-sender", daemon=True
-        )
+        self._process = SPAWN.Process(target=_serve, args=task, name="fip-sender", daemon=True)
         self._process.start()
         receiver.close()
         status.close()
@@ -166,9 +156,8 @@ class Sender:
                 raise SenderError(f"the command sender has not started within {START_TIME:g} s")
             fault, self.counts = self._status.recv()
         except (EOFError, OSError) as error:
-            raise SenderError(
-                f"the command sender ended while starting (exit code {self._process.exitcode})"
-            ) from error
+            code = self._process.exitcode
+            raise SenderError(f"the command sender ended while starting (exit code {code})") from error
         except SenderError:
             self._process.kill()
             raise
@@ -189,13 +178,10 @@ class Sender:
             return
         try:
             self._setpoints.send_bytes(encode(setpoint))
-        except BlockingIOError:
-            self.dropped += 1
-        except (struct.error, AttributeError, TypeError, ValueError):
-            self.dropped += 1  # no setpoint at all; the dead-man sees to what follows
+        except (BlockingIOError, struct.error, AttributeError, TypeError, ValueError):
+            self.dropped += 1  # the pipe is full, or this is no setpoint; the dead-man sees to what follows
         except OSError:
             self._lost()
-            return
         if not self._process.is_alive():
             self._lost()
 
@@ -204,16 +190,18 @@ class Sender:
         if self._closed or self._rescue is not None:
             return self._fault
         try:
-            while self._status.poll():
-                self._fault, self.counts = self._status.recv()
-                self._reported = time.monotonic()
+            self._listen()
         except (EOFError, OSError):
             self._lost()
-        if self._rescue is None and time.monotonic() - self._reported > HUNG:
-            self._process.kill()
-            self._process.join(1.0)
+        if time.monotonic() - self._reported > HUNG:
             self._lost("hung")
         return self._fault
+
+    def _listen(self) -> None:
+        """Take the sender's reports. Raises EOFError or OSError when it is gone."""
+        while self._status.poll():
+            self._fault, self.counts = self._status.recv()
+            self._reported = time.monotonic()
 
     def close(self) -> None:
         """Level-and-disarm frames for ``safety.leave_time``, then the end of the process."""
@@ -225,13 +213,10 @@ class Sender:
             self._setpoints.close()
             self._process.join(self._safety.leave_time + 5.0)
             if self._process.exitcode != 0:
-                self._process.kill()
-                self._process.join(1.0)
                 self._lost()
             else:
                 with suppress(EOFError, OSError):
-                    while self._status.poll():
-                        self._fault, self.counts = self._status.recv()
+                    self._listen()
         if self._rescue is not None:
             self._rescue.join(self._safety.leave_time + 5.0)
         self._closed = True
@@ -241,14 +226,14 @@ class Sender:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _lost(self, how: str = "died") -> None:
-        """The sender is gone: level and disarm from here, through a sink of our own."""
+        """The sender is gone, or must be: level and disarm from here, through a sink of our own."""
         if self._rescue is None:
+            self._process.kill()
+            self._process.join(1.0)
             self._fault = f"the command sender {how} (exit code {self._process.exitcode}): disarmed without it"
             self._rescue = threading.Thread(target=self._disarm, name="fip-rescue")
             self._rescue.start()
@@ -269,19 +254,15 @@ class Sender:
             sink.close()
 
 
-class _Terminated(Exception):
-    pass
-
-
 def _terminate(number: int, frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise _Terminated
+    raise SystemExit  # no ``except Exception`` keeps it
 
 
-def urgent(level: int) -> None:
-    """Real-time scheduling at a level from 1, for this process and not for those it starts; where it is allowed."""
+def urgent(level: int, thread: int = 0) -> None:
+    """Real-time scheduling at a level from 1, for this or another thread, not inherited; where it is allowed."""
     with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
 
 
 def ignore_the_terminal() -> None:
@@ -304,7 +285,7 @@ def _serve(
             gc.freeze()
             gc.disable()
             server.run(receiver)
-    except (_Terminated, EOFError, OSError):
+    except (SystemExit, EOFError, OSError):
         pass  # the other side is gone, or wants us gone
     finally:
         server.leave()
@@ -363,14 +344,13 @@ class _Server:
     def _send(self, setpoint: Setpoint, repeated: bool) -> None:
         counts = self._counts
         try:
-            if self._sink is None:
-                self._reopen()
+            if self._sink is None and time.monotonic_ns() - self._tried > REOPEN * NANO:
+                self._tried = time.monotonic_ns()
+                self._sink = self._open_sink()
             if self._sink is not None:
                 self._sink.send(setpoint)
                 self._trouble = None
                 self._counts = counts._replace(sent=counts.sent + 1, repeated=counts.repeated + repeated)
-        except _Terminated:
-            raise
         except Exception as error:  # whatever a device raises
             self._counts = counts._replace(failed=counts.failed + 1)
             self._trouble = f"commands cannot be sent ({error or type(error).__name__})"
@@ -378,12 +358,6 @@ class _Server:
                 with suppress(Exception):
                     self._sink.close()
             self._sink = None
-
-    def _reopen(self) -> None:
-        now = time.monotonic_ns()
-        if now - self._tried > REOPEN * NANO:
-            self._tried = now
-            self._sink = self._open_sink()
 
     def _report(self) -> None:
         self._reported = time.monotonic_ns()

@@ -35,9 +35,10 @@ from fiplib.flight.limits import Limits, changed, recorded
 from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
-from fiplib.params import NANO, Params, assignment
+from fiplib.params import NANO, Groups, Params, assignment
 from fiplib.pilot import Hover, Pilot
 from fiplib.recording import Measurement, MemoryRecorder
+from fiplib.reproduction.measures import rms
 from fiplib.simulate import Scenario, SimulatedEstimator
 from fiplib.studies.estimators import summarise
 
@@ -105,8 +106,8 @@ class Flown:
 
     @property
     def lean(self) -> NDArray:
-        """Offsets of the rod's COM, m, within the scenario."""
-        return np.hypot(self.truth[:, 4], self.truth[:, 6])[self.within]
+        """Offsets (n,) of the rod's COM, m, at all frames."""
+        return np.hypot(self.truth[:, 4], self.truth[:, 6])
 
     @property
     def height_error(self) -> str:
@@ -119,7 +120,7 @@ class Flown:
         if not rows.any():
             return math.nan, math.nan, math.inf
         time, truth = self.time[rows] - start, self.truth[rows]
-        leaning = np.hypot(truth[:, 4], truth[:, 6])
+        leaning = self.lean[rows]
         away = truth[:, [0, 2]] - self.scenario.reference.at(self.time[rows])[:, [0, 2]]
         over = np.flatnonzero(leaning > SETTLED)
         settled = math.inf if len(over) and over[-1] == len(time) - 1 else float(time[over[-1]]) if len(over) else 0.0
@@ -160,11 +161,6 @@ def flown(scenario: Scenario, limits: Limits, link: ObservedLink, bag: Path | No
     time = np.arange(len(rows)) / scenario.params.piloting.mocap_rate
     seen = (time, rows[:, :11], rows[:, 11:14], rows[:, 14:])
     return Flown(scenario, metadata, tape, loop.duration, loop.balanced, guard.ended or "", *seen)
-
-
-def rms(values: NDArray) -> float:
-    """Return the root mean square of values; nan of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 # --- step responses
@@ -273,10 +269,7 @@ def run(options: argparse.Namespace) -> int:
         FirmwareError: Betaflight cannot be built, started or armed.
         ValueError, BagError, OSError: an option makes no sense, or an output cannot be written.
     """
-    if options.action == "install":
-        print(sitl.install(options.again))
-        return 0
-    return {"step": step, "push": push, "fly": fly, "settings": print_settings}[options.action](options)
+    return {"install": install, "step": step, "push": push, "fly": fly, "settings": settings}[options.action](options)
 
 
 def scenario_of(name: str, changes: Sequence[str], seed: int | None = None) -> tuple[Scenario, Limits]:
@@ -288,22 +281,11 @@ def scenario_of(name: str, changes: Sequence[str], seed: int | None = None) -> t
     return dataclasses.replace(scenario, params=params, seed=scenario.seed if seed is None else seed), limits
 
 
-def airframe_of(changes: Sequence[str]) -> Airframe:
-    """The airframe with the changes of --airframe. Raises ValueError."""
-    airframe, known = Airframe(), [field.name for field in dataclasses.fields(Airframe)]
-    for text in changes:
-        name, _, value = text.partition("=")
-        if name not in known:
-            raise ValueError(f"--airframe {text}: write NAME=VALUE, where NAME is {', '.join(known)}")
-        size = np.size(getattr(airframe, name))
-        try:
-            numbers = tuple(float(number) for number in value.split(","))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != size or not all(0.0 < number < math.inf for number in numbers):
-            raise ValueError(f"--airframe {text}: give {size} number{'s, with commas,' * (size > 1)} > 0")
-        airframe = dataclasses.replace(airframe, **{name: numbers if size > 1 else numbers[0]})
-    return airframe
+@dataclasses.dataclass(frozen=True)
+class Modelled(Groups):
+    """The airframe as a group of parameters, which are changed and checked as all are."""
+
+    airframe: Airframe = dataclasses.field(default_factory=Airframe)
 
 
 @contextlib.contextmanager
@@ -311,13 +293,19 @@ def betaflight(
     options: argparse.Namespace, params: Params, limits: Limits
 ) -> Iterator[tuple[sitl.Betaflight, Airframe]]:
     """Betaflight with the settings of docs/firmware.md, then those of --cli; and the airframe that it flies."""
-    airframe = airframe_of(options.airframe)
+    changes = dict(assignment(f"airframe.{text}") for text in options.airframe)
+    airframe = Modelled().replace(**changes).airframe
     *lines, save = model.settings(params, limits)
     with sitl.Betaflight([*lines, *options.cli, save], airframe.exchange_rate) as inner:
         yield inner, airframe
 
 
-def print_settings(options: argparse.Namespace) -> int:
+def install(options: argparse.Namespace) -> int:
+    print(sitl.install(options.again))
+    return 0
+
+
+def settings(options: argparse.Namespace) -> int:
     scenario, limits = scenario_of("push-hover", options.set)
     print("\n".join(model.settings(scenario.params, limits)))
     return 0
@@ -373,7 +361,7 @@ def fly(options: argparse.Namespace) -> int:
     if not len(flight.time):
         print("it was never let go: the motors did not carry the vehicle")
     else:
-        print(f"rms lean {1e3 * rms(flight.lean):.1f} mm, rms error of height {flight.height_error} mm")
+        print(f"rms lean {1e3 * rms(flight.lean[flight.within]):.1f} mm, rms error of height {flight.height_error} mm")
         print(flight.refitted())
     print(f"motors after the disarm frame: {'stopped' if stopped else 'STILL TURNING'}; {inner.exchanges} exchanges")
     return 0 if flight.balanced and stopped else 1
@@ -413,7 +401,7 @@ def push(options: argparse.Namespace) -> int:
         row(f"{size}: distance, mm", [1e3 * value for value in distance], ".0f")
         row(f"{size}: settled in, s", settled, ".2f")
     calm = round(scenario.pushes[0].start * 240)
-    row("lean before the pushes, rms mm", [1e3 * rms(flight.lean[:calm]) for flight in flights], ".1f")
+    row("lean before the pushes, rms mm", [1e3 * rms(flight.lean[flight.within][:calm]) for flight in flights], ".1f")
     row("error of height, rms mm", [flight.height_error for flight in flights])
     for axis, name in enumerate(AXES[:2]):
         best = [flight.response(axis) for flight in flights]

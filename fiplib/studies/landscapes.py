@@ -127,7 +127,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
-        flight = flown(excitation, params.pendulum.gyration_ratio, seed)
+        flight = flown(excitation, params.pendulum.gyration_ratio, seed, ENDS[-1] + 0.5)
         known = replay.windows(flight, often)
         seconds = np.array([window.stamp - flight.start_ns for window in known]) / NANO
         chosen += [known[np.abs(seconds - end).argmin()].window for end in ENDS]
@@ -135,15 +135,11 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
 
 
 @cache
-def flown(excitation: str, gyration_ratio: float, seed: int) -> Flight:
-    """A simulated flight with the true length; the same for all that is varied in the estimator.
-
-    Raises:
-        RuntimeError: the rod fell.
-    """
+def flown(excitation: str, gyration_ratio: float, seed: int, seconds: float) -> Flight:
+    """A simulated flight with the true length; the same whatever is varied in the estimator. Raises RuntimeError if the
+    rod falls."""
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
-    scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    flight = fly(scenario)
+    flight = fly(Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=seed))
     if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
     return flight

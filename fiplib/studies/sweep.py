@@ -105,7 +105,7 @@ def sweep(
         dynamic_ncols=True,
         mininterval=0.2 if sys.stderr.isatty() else 30.0,  # a log file is not flooded
     )
-    with bar, contextlib.closing(journal):
+    with bar:
         submit(list(itertools.islice(waiting, AHEAD)))
         alone = False
         while running:
@@ -116,8 +116,7 @@ def sweep(
                 bar.update()
             elif future.status != "error":
                 # the worker died with the only copy of the result, unless there is nobody left to ask
-                if not _reachable(client):
-                    raise ClusterError(f"{name}: the scheduler is gone")
+                _workers(client, name)
                 submit([case])
                 continue
             elif isinstance(result[1], KilledWorker) and not alone:
@@ -136,12 +135,13 @@ def sweep(
     return failed
 
 
-def _reachable(client: "Client") -> bool:
-    try:
-        client.nthreads()
-    except OSError:
-        return False
-    return client.status == "running"
+def _workers(client: "Client", name: str) -> dict[str, int]:
+    """Threads by worker; raises ClusterError when the scheduler is gone."""
+    with contextlib.suppress(OSError):
+        workers = client.nthreads()
+        if client.status == "running":
+            return workers
+    raise ClusterError(f"{name}: the scheduler is gone")
 
 
 def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
@@ -150,11 +150,7 @@ def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
     while not completed.has_ready():
         time.sleep(0.02)
         if time.monotonic() > alive + cluster.PATIENCE / 2:
-            try:
-                workers = client.nthreads()
-            except OSError as error:
-                raise ClusterError(f"{name}: the scheduler is gone") from error
-            if workers:
+            if _workers(client, name):
                 alive = time.monotonic()
             elif time.monotonic() > alive + cluster.PATIENCE:
                 raise ClusterError(f"{name}: every worker is gone")

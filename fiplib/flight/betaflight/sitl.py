@@ -1,7 +1,6 @@
 """Betaflight's own firmware (SITL) in a process of its own, in lock-step with the simulation, and a vehicle for it.
 
-``install`` builds Betaflight 4.6.0 for this computer, unmodified, into a side environment, .venv-betaflight; it needs
-gcc, make and the package index. The firmware is under the GNU GPL, stays there, and is no part of this package.
+``install`` builds it unmodified into a side environment. It is under the GNU GPL, and no part of this package.
 """
 
 import contextlib
@@ -15,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -86,7 +84,7 @@ def home() -> Path:
 
 def find_executable() -> Path | None:
     """Betaflight as built here, if it is."""
-    return next(iter(sorted(home().glob(EXECUTABLE))), None)
+    return min(home().glob(EXECUTABLE), default=None)
 
 
 def clock() -> Path:
@@ -106,14 +104,11 @@ class Betaflight:
     """Betaflight SITL in its own process, in lock-step with the simulation. A context manager; an ``InnerLoop``.
 
     It is started once to be given its settings over its command line, as one would on a bench, and again to fly.
+    ``process`` is the firmware's, ``exchanges`` counts them.
 
     Args:
         lines: for its command line.
         rate: exchanges per second.
-
-    Attributes:
-        process: of the firmware.
-        exchanges: so far.
 
     Raises (on entering):
         FirmwareError: it is not built, refuses a setting, or does not start.
@@ -149,9 +144,7 @@ class Betaflight:
         self._outputs = np.zeros(4)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def exchange(
@@ -170,12 +163,11 @@ class Betaflight:
         return self._outputs
 
     def _start(self, **environment: int) -> None:
-        settings = {"LD_PRELOAD": str(clock()), "FIP_OFFSET": str(self._offset)}
-        settings |= {name: str(value) for name, value in environment.items()}
+        settings = {"LD_PRELOAD": clock(), "FIP_OFFSET": self._offset, **environment}
         self.process = subprocess.Popen(
             [self._executable],
             cwd=self._folder,
-            env={**os.environ, **settings},
+            env={**os.environ, **{name: str(value) for name, value in settings.items()}},
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,

@@ -11,7 +11,6 @@ stopped at any time, the same command goes on from there.
 """
 
 import argparse
-import contextlib
 import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -81,11 +80,11 @@ def run(options: argparse.Namespace) -> int:
 
 def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False) -> None:
     """Fly the faults of which the table has no row yet, and complete it."""
-    with contextlib.closing(Journal(path, ["fault"], fresh)) as journal:
-        for name, fault in tqdm(faults.items(), unit="fault", disable=None):
-            if (name,) not in journal.rows:
-                journal.append({"fault": name}, fault.fly())
-        journal.complete([{"fault": name} for name in faults])
+    journal = Journal(path, ["fault"], fresh)
+    for name, fault in tqdm(faults.items(), unit="fault", disable=None):
+        if (name,) not in journal.rows:
+            journal.append({"fault": name}, fault.fly())
+    journal.complete([{"fault": name} for name in faults])
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

@@ -14,6 +14,7 @@ from fiplib import bags
 from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO, Params
+from fiplib.recording import Flight
 
 LEVEL = math.radians(10.0)
 """A vehicle that is disarmed with less tilt than this came down level, as tests/flight/test_failsafe.py asks, rad."""
@@ -144,15 +145,14 @@ def modes_of(path: Sequence[Mode]) -> str:
     return f"{counts}; at last {path[-1].value}"
 
 
-def state_of(bag: Path) -> str:
-    """Say whether a bag can be read, and if not, whether it can be recovered."""
+def read_back(bag: Path) -> tuple[str, Flight | None]:
+    """Read a bag, or what can be recovered of it; returns "valid", "recovered" or "lost (why)", and the flight."""
     try:
-        bags.read(bag)
+        return "valid", bags.read(bag)
     except bags.BagError:
-        try:
-            with tempfile.TemporaryDirectory() as folder:
-                bags.read(bags.recover(bag, Path(folder) / "recovered").output)
-        except bags.BagError as error:
-            return f"lost ({error})"
-        return "recovered"
-    return "valid"
+        pass
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return "recovered", bags.read(bags.recover(bag, Path(folder) / "recovered").output)
+    except bags.BagError as error:
+        return f"lost ({error})", None

@@ -89,7 +89,7 @@ class VirtualFault(Fault):
                 except Exception as raised:
                     error = f"{type(raised).__name__}: {raised}"
                 link.leave()
-            return self._judged(link, guard, error, verdict.state_of(bag))
+            return self._judged(link, guard, error, verdict.read_back(bag)[0])
 
     def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
         scenario, params = self.scenario, self.scenario.params
