@@ -6,6 +6,7 @@ import struct
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
@@ -90,6 +91,8 @@ class BagRecorder(Recorder):
         self._pending: list[tuple[int, str, bytes]] = []
         self._counts: Counter[str] = Counter()
         self._last = 0
+        # a signal's exception is raised in the main thread: here it cannot tear a message, or lose count of it
+        self._pool = ThreadPoolExecutor(1)
         self._open()
 
     def _open(self) -> None:
@@ -139,7 +142,7 @@ class BagRecorder(Recorder):
         ready = self._pending[: len(self._pending) - keep]
         del self._pending[: len(ready)]
         try:
-            self._write(ready)
+            self._pool.submit(self._write, ready).result()
         except OSError as error:
             raise BagError(f"{self.path}: cannot write any further ({error})") from error
 
@@ -154,6 +157,7 @@ class BagRecorder(Recorder):
     def close(self) -> None:
         """Write what is pending, the index and the metadata."""
         self._flush(0)
+        self._pool.shutdown()
         close_bag(self._writer, self._metadata, self._counts)
 
     def __enter__(self) -> Self:
