@@ -160,11 +160,6 @@ def flown(policy: str, seconds: float, seed: int = 1, **changes) -> Flight:
     return fly(Scenario("test", "", seconds, study.CIRCLE, params=params, seed=seed))
 
 
-def settled(times: np.ndarray, ratios: np.ndarray) -> float:
-    """When the used over the true length comes as near to 1 as the study asks for, and stays there; as in its ``run``."""
-    return measures.settling_time(times, np.abs(ratios - 1) >= study.SETTLED)
-
-
 @pytest.fixture(scope="module")
 def long_rod() -> Flight:
     return flown("trusted", 3.0, seed=2, piloting__initial_length=0.4, pendulum__length=1.5)
@@ -180,7 +175,7 @@ def test_a_wrong_first_length_that_fells_the_printed_loop_leaves_the_trusted_one
 
 def test_a_long_rod_is_found_within_three_seconds_from_far_too_short(long_rod):
     times, used = long_rod.time(long_rod.length), long_rod.length.column("used")
-    assert long_rod.survived and settled(times, used / 1.5) < 3.0
+    assert long_rod.survived and measures.settling_time(times, np.abs(used / 1.5 - 1) >= study.SETTLED) < 3.0
     assert used.max() < 1.5 * 1.01
     assert (used[1:] / used[:-1]).max() <= PARAMS.piloting.largest_rise + 1e-12
 
@@ -227,11 +222,10 @@ def test_a_row_of_the_study_says_what_became_of_the_flight(monkeypatch):
     assert printed["longest_used"] == pytest.approx(3.2) and printed["largest_lean"] > told["largest_lean"]
 
 
-def test_settled_is_the_time_from_which_on_the_length_stays_near():
+def test_the_settling_time_is_that_from_which_on_the_length_stays_near():
     times = np.array([0.0, 1.0, 2.0, 3.0])
-    assert settled(times, np.array([0.5, 1.02, 0.94, 1.01])) == 3.0
-    assert settled(times, np.array([1.0, 1.02, 0.96, 1.01])) == 0.0
-    assert settled(times, np.array([1.0, 1.0, 1.0, 0.9])) == math.inf
+    for ratios, settled in (((0.5, 1.02, 0.94, 1.01), 3.0), ((1.0, 1.02, 0.96, 1.01), 0.0), ((1, 1, 1, 0.9), math.inf)):
+        assert measures.settling_time(times, np.abs(np.array(ratios) - 1) >= study.SETTLED) == settled
 
 
 def test_policies_are_listed_by_name():
