@@ -5,7 +5,6 @@ import functools
 import json
 import signal
 import struct
-import sys
 import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,14 +16,9 @@ from typing import Any, Self
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
-from fiplib.bags.messages import Layout, checksum, typestore
+from fiplib.bags.messages import Layout, checksum, typestore, zstd
 from fiplib.params import NANO
 from fiplib.recording import JOINTS, LEVELS, LOG, ORIGINS, ROLES, BagError, Recorder
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd  # the copy that rosbags itself depends on
 
 
 def open_bag(path: Path) -> Writer:
