@@ -29,7 +29,7 @@ information, and Fisher scoring finds the maximum.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -66,6 +66,7 @@ LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
 
 _NODES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
+_FIRST, _SECOND = np.array([0, 2, 4, 4]), np.array([2, 7, 6, 8])  # the states in the rows of each kind
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
@@ -84,7 +85,7 @@ class Rows(NamedTuple):
     spin: NDArray
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _response(t, tau, length, lever, hq, hs, w2, out):  # pragma: no cover - compiled
     """Response of (s, nu, u, w, q, beta) after the time t to a rate w = 1 at its beginning, into out (6,)."""
     e = math.exp(-t / tau)
@@ -101,9 +102,26 @@ def _response(t, tau, length, lever, hq, hs, w2, out):  # pragma: no cover - com
     out[5] = -(k2 + w2 * k4) / length - hq * w2 * k2
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, theta, steps, clock, x, p, total, score, fisher, blocks, block, innovation
+    time,
+    kind,
+    value,
+    scale,
+    lift,
+    spin,
+    theta,
+    steps,
+    clock,
+    x,
+    p,
+    total,
+    score,
+    fisher,
+    blocks,
+    block,
+    innovation,
+    sized,
 ):  # pragma: no cover - compiled
     """Run the filter of every row of ``theta`` (lanes, 13) over all rows, from the state in ``clock``, ``x``, ``p``.
 
@@ -112,7 +130,7 @@ def _recursion(
     ``steps`` is not empty, ``score`` (k,), ``fisher`` (k, k) and the scores of each ``block`` s in ``blocks``
     (n, k). ``innovation`` (n, axes, 2), if not empty, takes lane 0's standardised innovations and their deviations.
     """
-    rows, axes, lanes = value.shape[0], value.shape[1], theta.shape[0]
+    rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
     k = steps.shape[0]
     start = time[0] if rows else 0.0
     tau, length, lever, hq, hs = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
@@ -211,9 +229,7 @@ def _recursion(
                     for lane in range(lanes):
                         s, n, u, w = x[axis, 0, lane], x[axis, 1, lane], x[axis, 2, lane], x[axis, 3, lane]
                         q, b = x[axis, 4, lane], x[axis, 5, lane]
-                        x[axis, 0, lane] = (
-                            s + t * n + f[0, lane] * u + f[1, lane] * w + f[2, lane] * q + f[3, lane] * b
-                        )
+                        x[axis, 0, lane] = s + t * n + f[0, lane] * u + f[1, lane] * w + f[2, lane] * q + f[3, lane] * b
                         x[axis, 1, lane] = n + t * u + f[4, lane] * w
                         x[axis, 2, lane] = u + f[5, lane] * w
                         x[axis, 3, lane] = f[6, lane] * w
@@ -255,47 +271,42 @@ def _recursion(
                             p[i, j, lane] = old[j, lane] + noise_matrix[i, j, lane]
             clock[0] = time[row]
         which = kind[row]
+        first, second = _FIRST[which], _SECOND[which]
         for i in range(STATES):
-            for lane in range(lanes):
-                if which == 0:
-                    a = p[i, 0, lane]
-                    c = p[i, 2, lane] if i >= 2 else p[2, i, lane]
-                    ph[i, lane] = a - h_over_g[lane] * c
-                elif which == 1:
-                    a = p[i, 2, lane] if i >= 2 else p[2, i, lane]
-                    c = p[i, 7, lane] if i >= 7 else p[7, i, lane]
-                    ph[i, lane] = a + c
-                elif which == 2:
-                    a = p[i, 4, lane] if i >= 4 else p[4, i, lane]
-                    c = p[i, 6, lane] if i >= 6 else p[6, i, lane]
-                    ph[i, lane] = p[i, 0, lane] + rho[lane] * a + c
-                else:
-                    a = p[i, 4, lane] if i >= 4 else p[4, i, lane]
-                    c = p[i, 8, lane] if i >= 8 else p[8, i, lane]
-                    ph[i, lane] = a + c
-        factor = scale[row] * scale[row]
-        for lane in range(lanes):
+            a_row, a_column = max(i, first), min(i, first)
+            c_row, c_column = max(i, second), min(i, second)
             if which == 0:
-                variance[lane] = ph[0, lane] - h_over_g[lane] * ph[2, lane]
-            elif which == 1:
-                variance[lane] = ph[2, lane] + ph[7, lane]
+                for lane in range(lanes):
+                    ph[i, lane] = p[i, 0, lane] - h_over_g[lane] * p[c_row, c_column, lane]
             elif which == 2:
-                variance[lane] = ph[0, lane] + rho[lane] * ph[4, lane] + ph[6, lane]
+                for lane in range(lanes):
+                    ph[i, lane] = p[i, 0, lane] + rho[lane] * p[a_row, a_column, lane] + p[c_row, c_column, lane]
             else:
-                variance[lane] = ph[4, lane] + ph[8, lane]
+                for lane in range(lanes):
+                    ph[i, lane] = p[a_row, a_column, lane] + p[c_row, c_column, lane]
+        factor = scale[row] * scale[row]
+        if which == 0:
+            for lane in range(lanes):
+                variance[lane] = ph[0, lane] - h_over_g[lane] * ph[2, lane]
+            for axis in range(axes):
+                for lane in range(lanes):
+                    nu[axis, lane] = value[row, axis] - x[axis, 0, lane] + h_over_g[lane] * x[axis, 2, lane]
+        elif which == 2:
+            for lane in range(lanes):
+                variance[lane] = ph[0, lane] + rho[lane] * ph[4, lane] + ph[6, lane]
+            for axis in range(axes):
+                for lane in range(lanes):
+                    expected = x[axis, 0, lane] + rho[lane] * x[axis, 4, lane] + x[axis, 6, lane]
+                    nu[axis, lane] = value[row, axis] - expected
+        else:
+            for lane in range(lanes):
+                variance[lane] = ph[first, lane] + ph[second, lane]
+            for axis in range(axes):
+                for lane in range(lanes):
+                    nu[axis, lane] = value[row, axis] - x[axis, first, lane] - x[axis, second, lane]
+        for lane in range(lanes):
             variance[lane] += factor * noise[which, lane]
             inverse[lane] = 1.0 / variance[lane]
-        for axis in range(axes):
-            for lane in range(lanes):
-                if which == 0:
-                    expected = x[axis, 0, lane] - h_over_g[lane] * x[axis, 2, lane]
-                elif which == 1:
-                    expected = x[axis, 2, lane] + x[axis, 7, lane]
-                elif which == 2:
-                    expected = x[axis, 0, lane] + rho[lane] * x[axis, 4, lane] + x[axis, 6, lane]
-                else:
-                    expected = x[axis, 4, lane] + x[axis, 8, lane]
-                nu[axis, lane] = value[row, axis] - expected
         for i in range(STATES):
             for lane in range(lanes):
                 gain[i, lane] = ph[i, lane] * inverse[lane]
@@ -335,7 +346,7 @@ def _recursion(
                     fisher[j, i] += information
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _parabolas(time, values, at, half):  # pragma: no cover - compiled
     """Local parabolas through (time, values) at the times ``at``, both sorted: values and two derivatives.
 
@@ -403,27 +414,50 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Gaussian priors of the laboratory; the defaults are those of somebody who knows nothing but the masses.
+    """What is known of the laboratory beforehand. The defaults suit somebody who knows nothing but the masses.
 
     Args:
-        inertia_factor: lambda of the rod, 1 a point mass, 3/4 a uniform rod.
-        marker_offset: how far beyond the rod's centre of mass the tracked point lies, m.
+        inertia_factor: lambda of the rod: 1 for a point mass, 3/4 for a uniform rod. None if it is not known.
+        marker_offset: how far beyond the rod's centre of mass its tracked point lies, m. None if it is not known:
+            the point is then assumed to be at the middle, unless the flight contradicts that.
         seat_height: of the seat above the vehicle's tracked point, m.
         com_height: of the vehicle's centre of mass above its tracked point, m.
-        mass_ratio: rod over rod and vehicle; 0 with tolerance 0 for a prescribed base.
-        noise: standard deviation of positions in m, of attitudes in rad: guesses, within a factor of e.
-        lag: time constant of the vehicle's rate loop, s: a guess, within a factor of e.
-        lengths: shortest and longest length to expect, m.
+        mass_ratio: rod over rod and vehicle.
+        distance_tolerance: deviation, in m, of the measured distance of the two tracked points from rho + h, because
+            neither lies exactly on its axis. Infinite: the distance is not used.
+        noise: standard deviation of positions in m, and of attitudes in rad; guesses, right within a factor of e.
+        lag: time constant of the vehicle's rate loop in s; a guess, right within a factor of e.
+        lengths: shortest and longest rod to expect, m.
     """
 
-    inertia_factor: Told = Told(0.75, 0.1)
-    marker_offset: Told = Told(0.0, 1e-3)
+    inertia_factor: Told | None = None
+    marker_offset: Told | None = None
     seat_height: Told = Told(0.04, 0.1)
     com_height: Told = Told(0.0, 0.05)
-    mass_ratio: Told = Told(0.053, 0.005)
+    mass_ratio: Told = Told(0.053, 0.001)
+    distance_tolerance: float = 2e-3
     noise: tuple[float, float] = (0.2e-3, 1e-3)
     lag: float = 15e-3
     lengths: tuple[float, float] = (0.1, 4.0)
+
+    @classmethod
+    def of(cls, params: Params) -> "Knowledge":
+        """The masses, the noise of motion capture, the lag and the interval of lengths of ``params``."""
+        rod, vehicle, simulation = params.pendulum, params.vehicle, params.simulation
+        ratio = rod.mass / (rod.mass + vehicle.mass)
+        return cls(
+            mass_ratio=Told(ratio, 0.02 * ratio),
+            noise=(max(simulation.position_noise, 1e-6), max(simulation.attitude_noise, 1e-6)),
+            lag=simulation.rate_lag,
+            lengths=(params.estimation.length_min, params.estimation.length_max),
+        )
+
+
+UNIFORM, MIDDLE = Told(0.75, 0.003), Told(0.0, 1e-3)
+"""Assumed where nothing is told: lambda of a uniform rod, or the tracked point at the middle within 1 mm."""
+
+ANY_INERTIA, ANY_OFFSET = Told(0.8, 0.15), Told(0.0, 0.4)
+"""What the other one of the two is left to be: from tip-heavy rods to point masses, from the foot to the tip."""
 
 
 def parabolas(time: NDArray, values: NDArray, at: NDArray, half: float) -> NDArray:
@@ -528,7 +562,10 @@ def run(
     rows: Rows, theta: NDArray, steps: NDArray | None = None, innovations: bool = False, state: _State | None = None
 ) -> _Pass:
     """Filter all rows for every row of ``theta`` (lanes, 13); see ``_recursion``."""
-    lanes, axes, n = len(theta), rows.value.shape[1], len(rows.time)
+    wanted, axes, n = len(theta), rows.value.shape[1], len(rows.time)
+    # a whole number of vectors: without a remainder the compiler keeps all lanes in step, twice as fast
+    lanes = 1 if wanted == 1 else -(-wanted // 16) * 16
+    theta = np.concatenate([theta, np.repeat(theta[-1:], lanes - wanted, axis=0)])
     steps = np.zeros(0) if steps is None else steps
     state = state or _State.at(rows.time[0], lanes, axes)
     k = len(steps)
@@ -542,42 +579,39 @@ def run(
     )
     _recursion(
         *rows, theta, steps, state.clock, state.x, state.p, out.total, out.score, out.fisher, out.blocks, BLOCK,
-        out.innovation,
+        out.innovation, (0,) * lanes,
     )  # fmt: skip
+    out.total = out.total[:wanted]
     out.fisher = np.tril(out.fisher) + np.tril(out.fisher, -1).T
     return out
 
 
-def prior_rows(knowledge: Knowledge, density: float) -> Callable[[NDArray], NDArray]:
-    """Deviations of theta (..., 13) from the priors, over their tolerances (..., 12)."""
-    k = knowledge
-    position, attitude = (math.log(value) for value in k.noise)
-    force = math.log(FORCE_FREE)
-
-    def deviations(theta: NDArray) -> NDArray:
-        t = np.moveaxis(theta, -1, 0)
-        factor = inertia_factor_of(t)
-        values = [
-            (factor, *k.inertia_factor),
-            (t[OFFSET], *k.marker_offset),
-            (t[H], *k.seat_height),
-            (t[H] - t[HC], *k.com_height),
-            (t[MU], *k.mass_ratio),
-            (t[Q], math.log(density), 3.0),
-            (t[TAU], math.log(k.lag), 1.0),
-            (t[NV], position, 1.0),
-            (t[NR], position, 1.0),
-            (t[NT], attitude, 1.0),
-            (t[ND], attitude, 1.0),
-            (t[NF], force, 2.0),
-        ]
-        return np.stack([(value - mean) / max(sd, 1e-9) for value, mean, sd in values], axis=-1)
-
-    return deviations
-
-
 FORCE_FREE = 1e-12
 """Density of the white force on the rod where none is assumed, rad^2/s^3."""
+
+
+class Prior(NamedTuple):
+    """Independent Gaussians: ``means`` and ``tolerances`` (12,) of what ``quantities`` returns."""
+
+    means: NDArray
+    tolerances: NDArray
+
+    @staticmethod
+    def quantities(theta: NDArray) -> NDArray:
+        """What the priors are about, (..., 13) -> (..., 12)."""
+        t = np.moveaxis(theta, -1, 0)
+        distance = t[R] + t[OFFSET] + t[H]
+        told = [inertia_factor_of(t), t[OFFSET], t[H], t[H] - t[HC], t[MU], distance]
+        return np.stack([*told, *t[Q : ND + 1]], axis=-1)
+
+    def deviations(self, theta: NDArray) -> NDArray:
+        """Of theta (..., 13) from the priors, over their tolerances (..., 12)."""
+        return (self.quantities(theta) - self.means) / self.tolerances
+
+
+TOLD = ("inertia factor", "tracked point of the rod", "seat height", "height of the vehicle's centre of mass",
+        "mass ratio", "distance of the two tracked points")  # fmt: skip
+"""Names of the first quantities of a ``Prior``."""
 
 
 def inertia_factor_of(theta: NDArray) -> NDArray:
@@ -594,7 +628,7 @@ class Fit:
     covariance: NDArray
     value: float
     last: _Pass
-    prior: Callable[[NDArray], NDArray]
+    prior: Prior
     information: NDArray
     iterations: int
     converged: bool = True
@@ -604,7 +638,7 @@ STEP = 1e-5
 _LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.5])
 
 
-def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Callable, tolerance: float = 1e-3) -> Fit:
+def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 1e-2) -> Fit:
     """Fisher scoring with Levenberg's damping from theta (13,) over the ``free`` parameters."""
     k = len(free)
     steps = np.full(k, STEP)
@@ -613,7 +647,7 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Callable, toleran
         lanes = np.tile(point, (k + 1, 1))
         lanes[1 + np.arange(k), free] += STEP
         out = run(rows, lanes, steps)
-        deviations = prior(lanes)
+        deviations = prior.deviations(lanes)
         slopes = (deviations[1:] - deviations[0]) / STEP
         value = out.total[0] - 0.5 * deviations[0] @ deviations[0]
         return value, out.score - slopes @ deviations[0], out.fisher + slopes @ slopes.T, out
@@ -646,3 +680,472 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Callable, toleran
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     return Fit(theta, free, covariance, value, out, prior, information, iterations, converged)
+
+
+class Value(NamedTuple):
+    """A number and its standard deviation."""
+
+    value: float
+    deviation: float
+
+
+UNKNOWN = Value(math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """What two tracked bodies say about the rod.
+
+    Attributes:
+        length: twice the distance from the seat to the rod's centre of mass, m; nan if refused.
+        standard_deviation, interval: of the length, m; the interval holds 95 %.
+        effective_length: L_e, m, the length of the point pendulum that falls as fast on a base as heavy.
+        rod_point: rho, distance from the seat to the rod's tracked point, m.
+        seat_height: of the seat above the vehicle's tracked point, m.
+        com_height: of the seat above the vehicle's centre of mass, m.
+        inertia_factor: lambda; 1 for a point mass, 3/4 for a uniform rod.
+        uniform_length, middle_length: the two readings of the length, m: of a uniform rod wherever it is tracked, and
+            twice ``rod_point``, which is the length if the rod is tracked at its middle.
+        distance: measured distance of the two tracked points, m, and its deviation from rho + h over the standard
+            deviation of that: it agrees within +-3.
+        noise: fitted standard deviations of the vehicle's and the rod's position, m, of tilt and direction, rad.
+        whiteness: largest autocorrelation of the innovations at lags of 1 to 10 rows, by kind of row.
+        assumed: what was taken for granted and with which tolerance, one sentence each.
+        notes: what was left out of the data, and what else is worth knowing, one sentence each.
+        reason: None, or one sentence why there is no length and what to do about it.
+    """
+
+    length: float = math.nan
+    standard_deviation: float = math.nan
+    interval: tuple[float, float] = (math.nan, math.nan)
+    effective_length: Value = UNKNOWN
+    rod_point: Value = UNKNOWN
+    seat_height: Value = UNKNOWN
+    com_height: Value = UNKNOWN
+    inertia_factor: Value = UNKNOWN
+    uniform_length: Value = UNKNOWN
+    middle_length: Value = UNKNOWN
+    distance: Value = UNKNOWN
+    noise: dict[str, float] = field(default_factory=dict)
+    whiteness: dict[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    reason: str | None = None
+
+
+KINDS = ("vehicle", "tilt", "rod", "direction")
+"""Names of the kinds of rows."""
+
+LEAST_ROWS = 64
+"""Fewest poses of each body: a quarter of a second at 240 Hz, and never enough to be sure of anything."""
+
+LARGEST_SPREAD = 0.1
+"""Refused above this relative standard deviation: the likelihood is then no parabola over its own width."""
+
+LARGEST_CONFLICT = 4.0
+"""Refused above this many standard deviations between a told value and the flight: one in 16 000 by chance."""
+
+LARGEST_JUMP = 3.0
+"""Refused above this mean squared innovation over ``JUMP_SPAN`` s; noise alone reaches 2 in a flight of minutes."""
+
+JUMP_SPAN = 0.1
+
+LARGEST_CORRELATION = 0.3
+"""Refused above this autocorrelation of innovations."""
+
+LARGEST_NOISE = 5.0
+"""Refused above this ratio of fitted to stated noise."""
+
+
+def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> PoseEstimate:
+    """Estimate the length of a balanced rod from the poses of two bodies.
+
+    Args:
+        vehicle: positions, and the body's z axis if it is a vehicle that tilts to accelerate. Without axes it is a
+            prescribed base: a cart, an arm, a hand.
+        rod: positions of one point of the rod, its axis, or both.
+        knowledge: priors of the laboratory.
+
+    Raises:
+        ValueError: the vehicle has no positions, or the rod neither positions nor axes.
+    """
+    if vehicle.position is None or (rod.position is None and rod.axis is None):
+        raise ValueError("an estimate needs the vehicle's positions, and the rod's positions or axes")
+    knowledge = knowledge or Knowledge()
+    vehicle, rod = _cleaned(vehicle), _cleaned(rod)
+    if min(len(vehicle.time), len(rod.time)) < LEAST_ROWS:
+        return PoseEstimate(reason=f"too few poses: {len(vehicle.time)} of the vehicle and {len(rod.time)} of the rod, "
+                            f"at least {LEAST_ROWS} of each are needed; record longer")  # fmt: skip
+    distance, notes = math.nan, []
+    if rod.position is not None:
+        rod, distance, dropped = _without_jumps(vehicle, rod)
+        if dropped:
+            notes.append(f"{dropped} poses of the rod were left out: they lie elsewhere than the rod can be")
+        if len(rod.time) < LEAST_ROWS:
+            return PoseEstimate(reason="the distance of the two bodies is not constant: they do not belong together")
+    if (reason := _frames(vehicle, rod, distance)) is not None:
+        return PoseEstimate(notes=tuple(notes), reason=reason)
+    if rod.position is not None and distance < SHORTEST_ARM:
+        if rod.axis is None:
+            return PoseEstimate(
+                reason=f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot, where it does not "
+                "move: track its middle, or record its orientation too"
+            )
+        rod = Body(rod.time, None, rod.axis)
+        notes.append("the rod is tracked at its foot: its orientation alone was used")
+    return _answer(rows_of(vehicle, rod), knowledge, distance, vehicle.axis is not None, notes)
+
+
+SHORTEST_ARM = 0.1
+"""Tracked points closer than this, m, are taken for the rod's foot."""
+
+
+def planar(
+    base_time: ArrayLike, base: ArrayLike, angle_time: ArrayLike, angle: ArrayLike, knowledge: Knowledge | None = None
+) -> PoseEstimate:
+    """Estimate the effective length of a rod balanced in one plane on a cart or an arm, by two encoders.
+
+    Args:
+        base_time, base: s, and position of the rod's pivot along its path, m.
+        angle_time, angle: s, and angle of the rod from upright, rad, positive towards positive positions.
+        knowledge: priors; masses and seat have no meaning here.
+    """
+    knowledge = knowledge or Knowledge()
+    planes = [
+        (np.asarray(t, dtype=float), np.asarray(v, dtype=float)) for t, v in ((base_time, base), (angle_time, angle))
+    ]
+    cleaned = [_cleaned(Body(t, v[:, None])) for t, v in planes]
+    if min(len(body.time) for body in cleaned) < LEAST_ROWS:
+        return PoseEstimate(reason=f"too few samples: at least {LEAST_ROWS} of each sensor are needed; record longer")
+    (base_time, base, _), (angle_time, angle, _) = cleaned
+    base = base - base[0]
+    quanta = [_quantum(base[:, 0]), _quantum(angle[:, 0])]
+    moved = float(np.std(angle))
+    if moved < LEAST_QUANTA * quanta[1]:
+        return PoseEstimate(reason=f"the rod moves by {moved / max(quanta[1], 1e-12):.1f} steps of its encoder, not by "
+                            f"{LEAST_QUANTA:g}: excite it more, or use a finer encoder")  # fmt: skip
+    events = np.union1d(base_time, angle_time)
+    force = parabolas(base_time, base, events, 0.05)[2, :, 0]
+    sine = parabolas(angle_time, np.sin(angle), events, 0.05)[:2, :, 0]
+    lift = sine[0] * force + np.sqrt(np.maximum(1.0 - sine[0] ** 2, 0.0)) * GRAVITY
+    spin = sine[1] ** 2 / np.maximum(1.0 - sine[0] ** 2, 0.1)
+    parts = [(VEHICLE, base_time, base, None), (DIRECTION, angle_time, np.sin(angle), None)]
+    floor = [max(quantum / math.sqrt(12.0), noise) for quantum, noise in zip(quanta, knowledge.noise, strict=True)]
+    known = Knowledge(
+        knowledge.inertia_factor,
+        noise=(floor[0], floor[1]),
+        lag=knowledge.lag,
+        lengths=knowledge.lengths,
+    )
+    return _answer(_sorted_rows(parts, events, lift, spin), known, math.nan, False, [])
+
+
+LEAST_QUANTA = 4.0
+"""Refused where the rod's angle moves by fewer steps of its encoder than this (standard deviation)."""
+
+
+def _quantum(values: NDArray) -> float:
+    """Step of a quantised signal, 0 if it does not look quantised."""
+    distinct = np.unique(np.round(values, 12))
+    if len(distinct) > len(values) / 3:
+        return 0.0
+    return float(np.median(np.diff(distinct))) if len(distinct) > 1 else math.inf
+
+
+def _without_jumps(vehicle: Body, rod: Body) -> tuple[Body, float, int]:
+    """The rod without poses that lie elsewhere than the rod can be, the distance of both bodies, and how many."""
+    place = np.column_stack([np.interp(rod.time, vehicle.time, column) for column in vehicle.position.T])
+    distances = np.linalg.norm(rod.position - place, axis=1)
+    distance = float(np.median(distances))
+    # the rod turns against the vehicle, so the distance changes a little; a lost body is far away
+    good = np.abs(distances - distance) < 0.1 * distance + 0.02
+    kept = Body(rod.time[good], rod.position[good], None if rod.axis is None else rod.axis[good])
+    return kept, float(np.median(distances[good])), int(np.sum(~good))
+
+
+def _frames(vehicle: Body, rod: Body, distance: float) -> str | None:
+    """Why the frames cannot be right, or None."""
+    if distance > 20.0:
+        return f"the two bodies are {distance:.0f} m apart: positions are in millimetres, it seems; divide them by 1000"
+    if rod.position is not None and distance > 1e-3:
+        place = np.column_stack([np.interp(rod.time, vehicle.time, column) for column in vehicle.position.T])
+        along = np.median(rod.position - place, axis=0) / distance
+        if along[2] < -0.7 and distance > SHORTEST_ARM:
+            return "the rod is below the vehicle: the two bodies are swapped, or z points down; swap them or turn the frame"
+        if abs(along[2]) < 0.7 and distance > SHORTEST_ARM:
+            axis = "xy"[int(np.argmax(np.abs(along[:2])))]
+            return f"the rod stands along {axis}, not along z: turn the world's frame so that z points up"
+    for body, name in ((vehicle, "vehicle"), (rod, "rod")):
+        if body.axis is not None and float(np.median(body.axis[:, 2])) < 0.7:
+            return (
+                f"the {name}'s body z axis does not point up: check the order of its quaternion (x, y, z, w) and the "
+                "frame of its body"
+            )
+    return None
+
+
+def _answer(rows: Rows, knowledge: Knowledge, distance: float, flies: bool, notes: list[str]) -> PoseEstimate:
+    """Fit the rows under what is assumed, check it, and put the answer together."""
+    told = [k is not None for k in (knowledge.inertia_factor, knowledge.marker_offset)]
+    tracked = bool(np.any(rows.kind == ROD))
+    start = _start(rows, knowledge, distance, flies)
+
+    def fit(inertia: Told, offset: Told) -> Fit:
+        return _fit(rows, knowledge, distance, flies, start, inertia, offset)
+
+    if told[0] or not tracked:
+        best = fit(knowledge.inertia_factor or UNIFORM, knowledge.marker_offset or ANY_OFFSET)
+        reading = "told" if told[0] else "uniform"
+    else:
+        best, reading = fit(knowledge.inertia_factor or ANY_INERTIA, knowledge.marker_offset or MIDDLE), "middle"
+        factor, deviation = _value(best, inertia_factor_of)
+        if not told[1] and abs(factor - UNIFORM.value) > 3.0 * math.hypot(deviation, UNIFORM.tolerance):
+            uniform = fit(UNIFORM, ANY_OFFSET)
+            gain = uniform.value - best.value
+            if gain > LEAST_EVIDENCE:
+                best, reading = uniform, "uniform"
+            elif gain > -LEAST_EVIDENCE:
+                return _ambiguous(best, uniform, rows, distance, flies, knowledge, notes)
+            notes.append(f"the rod's {'middle' if reading == 'uniform' else 'inertia'} is not where a uniform rod "
+                         "tracked at its middle has it; its reaction on the vehicle tells which")  # fmt: skip
+    return _checked(best, reading, rows, knowledge, distance, flies, notes)
+
+
+LEAST_EVIDENCE = 4.5
+"""Difference in log posterior from which one of two readings is believed: 3 standard deviations."""
+
+
+def _start(rows: Rows, knowledge: Knowledge, distance: float, flies: bool) -> NDArray:
+    """The best of a coarse grid over L_e and the density of the thrust's random walk, on the first 5 s."""
+    first = int(np.searchsorted(rows.time, rows.time[0] + 5.0))
+    part = Rows(*(column[:first] for column in rows))
+    force = rows.value[rows.kind == TILT] if flies else None
+    if force is not None:
+        time = rows.time[rows.kind == TILT]
+    else:
+        time = rows.time[rows.kind == VEHICLE]
+        force = parabolas(time, rows.value[rows.kind == VEHICLE], time, 0.05)[2]
+    smooth = parabolas(time, force, time, 0.05)[0]
+    later = np.minimum(np.searchsorted(time, time + 0.2), len(time) - 1)
+    moved = np.mean((smooth[later] - smooth) ** 2)
+    density = max(float(moved) / 0.2, 1e-6)
+    lengths = np.geomspace(knowledge.lengths[0] / 3.0, knowledge.lengths[1], 16)
+    lanes = np.zeros((2, 16, len(PARAMETERS)))
+    seat = knowledge.seat_height.value if flies else 0.0
+    lanes[..., LE] = np.log(lengths)
+    lanes[..., R] = 0.75 * lengths
+    if math.isfinite(distance):
+        lanes[..., OFFSET] = distance - seat - lanes[..., R]
+    lanes[..., H] = lanes[..., HC] = seat
+    lanes[..., MU] = knowledge.mass_ratio.value if flies else 0.0
+    lanes[..., Q] = math.log(density) + np.array([[0.0], [-2.0]])
+    lanes[..., TAU] = math.log(knowledge.lag)
+    lanes[..., NV], lanes[..., NR] = (math.log(knowledge.noise[0]),) * 2
+    lanes[..., NT], lanes[..., ND] = (math.log(knowledge.noise[1]),) * 2
+    lanes[..., NF] = math.log(FORCE_FREE)
+    lanes = lanes.reshape(-1, len(PARAMETERS))
+    totals = run(part, lanes).total
+    return lanes[int(np.nanargmax(totals))]
+
+
+def _fit(
+    rows: Rows,
+    knowledge: Knowledge,
+    distance: float,
+    flies: bool,
+    start: NDArray,
+    inertia: Told,
+    offset: Told,
+) -> Fit:
+    tracked, seen = (bool(np.any(rows.kind == kind)) for kind in (ROD, DIRECTION))
+    theta = start.copy()
+    if tracked and offset.tolerance < 0.1:
+        theta[R], theta[OFFSET] = max(theta[R] + theta[OFFSET] - offset.value, 0.02), offset.value
+    if not tracked:
+        theta[OFFSET] = 0.0
+    theta[R] = max(theta[R], 0.02)
+    free = [LE, R, Q, TAU, NV]
+    free += [OFFSET, NR] if tracked else []
+    free += [H, HC, MU, NT] if flies else []
+    free += [ND] if seen else []
+    free = np.array(sorted(free))
+    k = knowledge
+    position, attitude = (math.log(value) for value in k.noise)
+    use = flies and tracked and math.isfinite(distance)
+    priors = [inertia, offset if tracked else ANY_OFFSET, k.seat_height, k.com_height, k.mass_ratio]
+    if not flies:
+        priors[2:] = [Told(0.0, 1.0), Told(0.0, 1.0), Told(0.0, 1.0)]
+    priors += [Told(distance, k.distance_tolerance) if use else Told(0.0, math.inf)]
+    priors += [Told(start[Q], 3.0), Told(math.log(k.lag), 1.0), Told(position, 1.0), Told(position, 1.0)]
+    priors += [Told(attitude, 1.0), Told(attitude, 1.0)]
+    means, tolerances = np.array(priors).T
+    return maximise(rows, theta, free, Prior(means, np.maximum(tolerances, 1e-6)))
+
+
+def _value(fit: Fit, function) -> Value:
+    """A function of the parameters at the maximum, and its standard deviation to first order."""
+    k = len(fit.free)
+    lanes = np.tile(fit.theta, (k + 1, 1))
+    lanes[1 + np.arange(k), fit.free] += STEP
+    values = function(lanes.T)
+    slope = (values[1:] - values[0]) / STEP
+    return Value(float(values[0]), math.sqrt(max(float(slope @ fit.covariance @ slope), 0.0)))
+
+
+def _common(fit: Fit, distance: float, flies: bool, tracked: bool) -> dict:
+    """What both answers and refusals say of the rod."""
+    values: dict = {
+        "effective_length": _value(fit, lambda t: np.exp(t[LE])),
+        "inertia_factor": _value(fit, inertia_factor_of),
+        # 2 lambda kappa L_e with lambda = 3/4
+        "uniform_length": _value(fit, lambda t: 1.5 * np.exp(t[LE]) / (1.0 - 0.75 * t[MU])),
+    }
+    if tracked:
+        values["rod_point"] = _value(fit, lambda t: t[R] + t[OFFSET])
+        values["middle_length"] = _value(fit, lambda t: 2.0 * (t[R] + t[OFFSET]))
+    if flies:
+        values["seat_height"] = _value(fit, lambda t: t[H])
+        values["com_height"] = _value(fit, lambda t: t[HC])
+    names = {"vehicle": NV, "rod": NR, "tilt": NT, "direction": ND}
+    values["noise"] = {name: float(np.exp(fit.theta[i])) for name, i in names.items() if i in fit.free}
+    if math.isfinite(distance):
+        values["distance"] = Value(distance, _conflicts(fit)[5] if tracked and flies else math.nan)
+    return values
+
+
+def _conflicts(fit: Fit) -> NDArray:
+    """Deviation of the posterior from each prior, over what it should be if the prior were right (12,).
+
+    With prior variance V0 and posterior variance V, the posterior mean deviates from the prior's by V0 - V.
+    """
+    k = len(fit.free)
+    lanes = np.tile(fit.theta, (k + 1, 1))
+    lanes[1 + np.arange(k), fit.free] += STEP
+    deviations = fit.prior.deviations(lanes)
+    slopes = (deviations[1:] - deviations[0]) / STEP
+    posterior = np.einsum("ji,jk,ki->i", slopes, fit.covariance, slopes)
+    free = np.any(slopes != 0.0, axis=0) & np.isfinite(fit.prior.tolerances)
+    # told far more tightly than the flight can tell: 1 - V / V0 is then lost to rounding
+    return np.where(free, deviations[0] / np.sqrt(np.maximum(1.0 - posterior, 1e-6)), 0.0)
+
+
+def _ambiguous(
+    middle: Fit, uniform: Fit, rows: Rows, distance: float, flies: bool, knowledge: Knowledge, notes: list[str]
+) -> PoseEstimate:
+    common = _common(middle, distance, flies, True)
+    a, b = 2.0 * middle.theta[R], 2.0 * uniform.theta[R]
+    reason = (
+        f"the rod's tracked point is not at its middle, or the rod is not uniform: it is {b:.3f} m long if it is "
+        f"uniform, {a:.3f} m if it is tracked at its middle; say which by the inertia factor or the marker's offset"
+    )
+    return PoseEstimate(**common, notes=tuple(notes), reason=reason)
+
+
+def _checked(
+    fit: Fit, reading: str, rows: Rows, knowledge: Knowledge, distance: float, flies: bool, notes: list[str]
+) -> PoseEstimate:
+    """The answer, or the refusal that the first failed check gives."""
+    tracked = bool(np.any(rows.kind == ROD))
+    common = _common(fit, distance, flies, tracked)
+    innovation = run(rows, fit.theta[None], innovations=True).innovation[:, :, 0]
+    whiteness = {
+        name: _correlation(innovation[rows.kind == kind])
+        for kind, name in enumerate(KINDS)
+        if np.any(rows.kind == kind)
+    }
+    length, deviation = _value(fit, lambda t: 2.0 * t[R])
+    conflicts = _conflicts(fit)[: len(TOLD)]
+    worst = int(np.argmax(np.abs(conflicts)))
+    jump, when = _largest_jump(rows.time, innovation)
+    noise = {"vehicle": 0, "rod": 0, "tilt": 1, "direction": 1}
+    loud = max(common["noise"], key=lambda name: common["noise"][name] / knowledge.noise[noise[name]])
+    least, most = knowledge.lengths
+    reason = None
+    if not (fit.converged and math.isfinite(length) and np.all(np.isfinite(fit.covariance))):
+        reason = "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
+    elif jump > LARGEST_JUMP:
+        reason = (
+            f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations {jump:.1f} "
+            "times as large as expected): it was pushed or mistracked; leave that stretch out"
+        )
+    elif common["noise"][loud] > LARGEST_NOISE * knowledge.noise[noise[loud]]:
+        reason = (
+            f"the {loud}'s noise comes out {common['noise'][loud] / knowledge.noise[noise[loud]]:.0f} times as large "
+            "as stated: the model does not explain the motion; check the frames and the stamps, or state the noise"
+        )
+    elif max(whiteness.values()) > LARGEST_CORRELATION:
+        name = max(whiteness, key=whiteness.__getitem__)
+        reason = (
+            f"the innovations of the {name} are not white (correlation {whiteness[name]:.2f}): the model does not "
+            "explain the motion; check the frames, the stamps and whether the rod stands freely in its seat"
+        )
+    elif abs(conflicts[worst]) > LARGEST_CONFLICT:
+        means, tolerances = fit.prior.means[worst], fit.prior.tolerances[worst]
+        reason = (
+            f"the flight contradicts the {TOLD[worst]} {means:.3f} +- {tolerances:.3f} by {abs(conflicts[worst]):.0f} "
+            "standard deviations: measure it again, or state a wider tolerance"
+        )
+    elif not least < length < most:
+        reason = f"the best length, {length:.2f} m, lies outside the interval from {least:g} to {most:g} m: widen it"
+    elif deviation > LARGEST_SPREAD * length:
+        reason = (
+            f"too little excitation: the standard deviation is {100 * deviation / length:.0f} % of the length, not "
+            f"below {100 * LARGEST_SPREAD:.0f} %; record longer, or move more"
+        )
+    assumed = _assumptions(fit, reading, knowledge, flies, tracked, distance)
+    if reason is not None:
+        return PoseEstimate(
+            whiteness=whiteness, noise=common["noise"], assumed=assumed, notes=tuple(notes), reason=reason
+        )
+    half = 1.959964 * deviation
+    return PoseEstimate(
+        length, deviation, (length - half, length + half), **common, whiteness=whiteness, assumed=assumed,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _correlation(innovation: NDArray, lags: int = 10) -> float:
+    """Largest autocorrelation in absolute value of standardised innovations (n, axes) at lags of 1 to 10 rows."""
+    skip = min(len(innovation) // 8, 30)  # the first rows only find the state
+    values = innovation[skip:]
+    power = float(np.mean(values**2))
+    return max(abs(float(np.mean(values[lag:] * values[:-lag]))) / power for lag in range(1, lags + 1))
+
+
+def _largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:
+    """The largest mean squared innovation over ``JUMP_SPAN`` s, after the first tenth of a second, and its time."""
+    power = np.mean(innovation**2, axis=1)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    ends = np.searchsorted(time, time + JUMP_SPAN)
+    counts = ends - np.arange(len(time))
+    fair = (counts >= max(8, int(np.median(counts)) // 2)) & (time > time[0] + 0.1)
+    if not np.any(fair):
+        return 0.0, 0.0
+    means = np.where(fair, (total[ends] - total[:-1]) / np.maximum(counts, 1), 0.0)
+    at = int(np.argmax(means))
+    return float(means[at]), float(time[at] - time[0])
+
+
+def _assumptions(
+    fit: Fit, reading: str, knowledge: Knowledge, flies: bool, tracked: bool, distance: float
+) -> tuple[str, ...]:
+    means, tolerances = fit.prior.means, fit.prior.tolerances
+    said = {
+        "told": f"the rod's inertia factor is {means[0]:.3f} +- {tolerances[0]:.3f}",
+        "uniform": f"the rod is uniform: its inertia factor is {means[0]:.3f} +- {tolerances[0]:.3f}",
+        "middle": f"the rod's tracked point is {1e3 * means[1]:.0f} +- {1e3 * tolerances[1]:.0f} mm from its middle",
+    }
+    sentences = [said[reading]]
+    if flies:
+        sentences += [
+            f"the seat is {1e3 * means[2]:.0f} +- {1e3 * tolerances[2]:.0f} mm above the vehicle's tracked point",
+            f"the vehicle's centre of mass is {1e3 * means[3]:.0f} +- {1e3 * tolerances[3]:.0f} mm above that point",
+            f"the rod has {means[4]:.3f} +- {tolerances[4]:.3f} of the mass of rod and vehicle",
+        ]
+        if tracked and math.isfinite(tolerances[5]):
+            sentences.append(
+                f"both tracked points lie on their axes: their distance is {distance:.3f} +- {tolerances[5]:.3f} m"
+            )
+    else:
+        sentences.append("the base moves as it is driven, whatever the rod does")
+    return tuple(sentences)
