@@ -52,15 +52,15 @@ PARAMETERS = (
     "log_thrust_density",
     "log_lag",
     "log_vehicle_noise",
-    "log_rod_noise",
     "log_tilt_noise",
+    "log_rod_noise",
     "log_direction_noise",
     "log_force_density",
 )
 """Order of the parameters: log L_e, r, rho - r, h, h_c, mu; logarithms of q_n (m^2/s^5), tau (s), noises (m, rad), and
 of the density of a white force on the rod (rad^2/s^3 of its angular acceleration)."""
 
-LE, R, OFFSET, H, HC, MU, Q, TAU, NV, NR, NT, ND, NF = range(len(PARAMETERS))
+LE, R, OFFSET, H, HC, MU, Q, TAU, NV, NT, NR, ND, NF = range(len(PARAMETERS))
 DYNAMIC, STATES = 6, 9
 LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
@@ -435,7 +435,7 @@ class Knowledge:
     seat_height: Told = Told(0.04, 0.1)
     com_height: Told = Told(0.0, 0.05)
     mass_ratio: Told = Told(0.053, 0.001)
-    distance_tolerance: float = 2e-3
+    distance_tolerance: float = 1e-3
     noise: tuple[float, float] = (0.2e-3, 1e-3)
     lag: float = 15e-3
     lengths: tuple[float, float] = (0.1, 4.0)
@@ -638,7 +638,7 @@ STEP = 1e-5
 _LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.5])
 
 
-def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 1e-2) -> Fit:
+def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 0.1) -> Fit:
     """Fisher scoring with Levenberg's damping from theta (13,) over the ``free`` parameters."""
     k = len(free)
     steps = np.full(k, STEP)
@@ -660,7 +660,10 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance:
         step = scale * np.linalg.solve(scaled + damping * np.eye(k), scale * score)
         step *= min(1.0, float(np.min(_LARGEST[free] / np.maximum(np.abs(step), 1e-12))))
         gain = float(score @ step)
-        if gain < tolerance:
+        if 0.0 <= gain < tolerance:
+            # so close that the likelihood is a parabola: the step ends at its top
+            theta = theta.copy()
+            theta[free] += step
             converged = True
             break
         trial = theta.copy()
@@ -916,8 +919,8 @@ LEAST_EVIDENCE = 4.5
 
 
 def _start(rows: Rows, knowledge: Knowledge, distance: float, flies: bool) -> NDArray:
-    """The best of a coarse grid over L_e and the density of the thrust's random walk, on the first 5 s."""
-    first = int(np.searchsorted(rows.time, rows.time[0] + 5.0))
+    """The best of a coarse grid over L_e, on the first 2.5 s."""
+    first = int(np.searchsorted(rows.time, rows.time[0] + 2.5))
     part = Rows(*(column[:first] for column in rows))
     force = rows.value[rows.kind == TILT] if flies else None
     if force is not None:
@@ -928,9 +931,9 @@ def _start(rows: Rows, knowledge: Knowledge, distance: float, flies: bool) -> ND
     smooth = parabolas(time, force, time, 0.05)[0]
     later = np.minimum(np.searchsorted(time, time + 0.2), len(time) - 1)
     moved = np.mean((smooth[later] - smooth) ** 2)
-    density = max(float(moved) / 0.2, 1e-6)
+    density = max(float(moved) / 0.1, 1e-6)
     lengths = np.geomspace(knowledge.lengths[0] / 3.0, knowledge.lengths[1], 16)
-    lanes = np.zeros((2, 16, len(PARAMETERS)))
+    lanes = np.zeros((16, len(PARAMETERS)))
     seat = knowledge.seat_height.value if flies else 0.0
     lanes[..., LE] = np.log(lengths)
     lanes[..., R] = 0.75 * lengths
@@ -938,14 +941,12 @@ def _start(rows: Rows, knowledge: Knowledge, distance: float, flies: bool) -> ND
         lanes[..., OFFSET] = distance - seat - lanes[..., R]
     lanes[..., H] = lanes[..., HC] = seat
     lanes[..., MU] = knowledge.mass_ratio.value if flies else 0.0
-    lanes[..., Q] = math.log(density) + np.array([[0.0], [-2.0]])
+    lanes[..., Q] = math.log(density)
     lanes[..., TAU] = math.log(knowledge.lag)
     lanes[..., NV], lanes[..., NR] = (math.log(knowledge.noise[0]),) * 2
     lanes[..., NT], lanes[..., ND] = (math.log(knowledge.noise[1]),) * 2
     lanes[..., NF] = math.log(FORCE_FREE)
-    lanes = lanes.reshape(-1, len(PARAMETERS))
-    totals = run(part, lanes).total
-    return lanes[int(np.nanargmax(totals))]
+    return lanes[int(np.nanargmax(run(part, lanes).total))]
 
 
 def _fit(
@@ -976,8 +977,8 @@ def _fit(
     if not flies:
         priors[2:] = [Told(0.0, 1.0), Told(0.0, 1.0), Told(0.0, 1.0)]
     priors += [Told(distance, k.distance_tolerance) if use else Told(0.0, math.inf)]
-    priors += [Told(start[Q], 3.0), Told(math.log(k.lag), 1.0), Told(position, 1.0), Told(position, 1.0)]
-    priors += [Told(attitude, 1.0), Told(attitude, 1.0)]
+    priors += [Told(start[Q], 3.0), Told(math.log(k.lag), 1.0)]
+    priors += [Told(position, 1.0), Told(attitude, 1.0)] * 2
     means, tolerances = np.array(priors).T
     return maximise(rows, theta, free, Prior(means, np.maximum(tolerances, 1e-6)))
 
