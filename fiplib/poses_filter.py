@@ -10,9 +10,11 @@ with kappa = 1 / (1 - mu lambda), so that lambda = r / (L_e + mu r). Per horizon
 specific thrust, w = u' its rate and e_x = u / g, the derivatives of u are integrated out, so that none is needed:
 
     s' = nu - mu r beta + H (1 + mu r / L_e) w        q'    = beta - (H / L_e) w            H = (1 - mu) h_c / g
-    nu' = u,   u' = w,   w' = (n - w) / tau           beta' = ((q . U) / L_e - |q'|^2) q - u / L_e
+    nu' = u,   u' = w                                beta' = ((q . U) / L_e - |q'|^2) q - u / L_e
 
-n is white noise of density q_n: for tau = 0 the thrust u is a random walk, for tau > 0 one behind a first-order lag.
+u is close to a random walk. Not quite: controller and rate loop colour its rate, w'' + 2 zeta omega w' + omega^2 w =
+omega^2 (n + T n'), n white noise of density q_n, and all four of these numbers are estimated too. Taken for a random
+walk behind a first-order lag, intervals came out a quarter too narrow (of the seat's height above all).
 What is of second order, q . U and |q'|^2, comes from smoothed poses. The measured rows, each at its own stamp, are
 
     vehicle  s - (h / g) u                  tilt       (g + z'') e_x / e_z = u + c_tilt
@@ -50,23 +52,25 @@ PARAMETERS = (
     "com_height",
     "mass_ratio",
     "log_thrust_density",
-    "log_lag",
+    "log_frequency",
+    "log_damping",
+    "log_zero",
     "log_vehicle_noise",
     "log_tilt_noise",
     "log_rod_noise",
     "log_direction_noise",
     "log_force_density",
 )
-"""Order of the parameters: log L_e, r, rho - r, h, h_c, mu; logarithms of q_n (m^2/s^5), tau (s), noises (m, rad), and
-of the density of a white force on the rod (rad^2/s^3 of its angular acceleration)."""
+"""Order of the parameters: log L_e, r, rho - r, h, h_c, mu; logarithms of q_n (m^2/s^5), omega (rad/s), zeta, omega T,
+noises (m, rad), and of the density of a white force on the rod (rad^2/s^3 of its angular acceleration)."""
 
-LE, R, OFFSET, H, HC, MU, Q, TAU, NV, NT, NR, ND, NF = range(len(PARAMETERS))
-DYNAMIC, STATES = 6, 9
+LE, R, OFFSET, H, HC, MU, Q, OMEGA, ZETA, ZERO, NV, NT, NR, ND, NF = range(len(PARAMETERS))
+DYNAMIC, STATES = 7, 10
 LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
 
 _NODES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
-_FIRST, _SECOND = np.array([0, 2, 4, 4]), np.array([2, 7, 6, 8])  # the states in the rows of each kind
+_FIRST, _SECOND = np.array([0, 2, 5, 5]), np.array([2, 8, 7, 9])  # the states in the rows of each kind
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
@@ -86,55 +90,78 @@ class Rows(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _response(t, tau, length, lever, hq, hs, w2, out):  # pragma: no cover - compiled
-    """Response of (s, nu, u, w, q, beta) after the time t to a rate w = 1 at its beginning, into out (6,)."""
-    e = math.exp(-t / tau)
-    k1 = -tau * math.expm1(-t / tau)
-    k2 = tau * (t - k1)
-    k3 = tau * (t * t / 2.0 - k2)
-    k4 = tau * (t * t * t / 6.0 - k3)
-    integral = -k3 / length - hq * w2 * k3
-    out[0] = k3 + hs * k1 - lever * integral
-    out[1] = k2
-    out[2] = k1
-    out[3] = e
-    out[4] = -hq * (k1 + w2 * k3) - k3 / length
-    out[5] = -(k2 + w2 * k4) / length - hq * w2 * k2
+def _integrals(t, a0, a1, w, v, out):  # pragma: no cover - compiled
+    """w(t), w'(t) and the one- to fourfold integrals of w'' = -a1 w' - a0 w from (w, v), into out (6,).
+
+    By its power series: exact formulas lose all digits in steps of microseconds.
+    """
+    for i in range(6):
+        out[i] = 0.0
+    now, after = w, v
+    power = 1.0  # t^j / j!
+    for j in range(24):
+        out[0] += now * power
+        out[1] += after * power
+        p1 = power * t / (j + 1)
+        p2 = p1 * t / (j + 2)
+        p3 = p2 * t / (j + 3)
+        out[2] += now * p1
+        out[3] += now * p2
+        out[4] += now * p3
+        out[5] += now * p3 * t / (j + 4)
+        now, after = after, -a1 * after - a0 * now
+        power = p1
+        if abs(now * p1) + abs(after * p1) < 1e-15 * (abs(out[0]) + abs(out[1])):
+            break
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _response(k, length, lever, hq, hs, w2, out):  # pragma: no cover - compiled
+    """Response of all dynamic states to a rate w(t) with the integrals k (6,), into out (7,)."""
+    integral = -k[4] / length - hq * w2 * k[4]
+    out[0] = k[4] + hs * k[2] - lever * integral
+    out[1] = k[3]
+    out[2] = k[2]
+    out[3] = k[0]
+    out[4] = k[1]
+    out[5] = -hq * (k[2] + w2 * k[4]) - k[4] / length
+    out[6] = -(k[3] + w2 * k[5]) / length - hq * w2 * k[3]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
+    """The dynamic states after a step, by the transition's coefficients f (24, lanes)."""
+    t = f[0, lane]
+    return (
+        s + t * n + f[1, lane] * u + f[2, lane] * w + f[3, lane] * v + f[4, lane] * q + f[5, lane] * b,
+        n + t * u + f[6, lane] * w + f[7, lane] * v,
+        u + f[8, lane] * w + f[9, lane] * v,
+        f[10, lane] * w + f[11, lane] * v,
+        f[12, lane] * w + f[13, lane] * v,
+        f[14, lane] * q + f[15, lane] * b + f[16, lane] * u + f[17, lane] * w + f[18, lane] * v,
+        f[19, lane] * q + f[14, lane] * b + f[20, lane] * u + f[21, lane] * w + f[22, lane] * v,
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time,
-    kind,
-    value,
-    scale,
-    lift,
-    spin,
-    theta,
-    steps,
-    clock,
-    x,
-    p,
-    total,
-    score,
-    fisher,
-    blocks,
-    block,
-    innovation,
+    time, kind, value, scale, lift, spin, theta, steps, clock, x, p, total, score, fisher, blocks, block, innovation,
     sized,
-):  # pragma: no cover - compiled
-    """Run the filter of every row of ``theta`` (lanes, 13) over all rows, from the state in ``clock``, ``x``, ``p``.
+):  # fmt: skip # pragma: no cover - compiled
+    """Run the filter of every row of ``theta`` (lanes, 15) over all rows, from the state in ``clock``, ``x``, ``p``.
 
     Lane 0 is the point; lane j > 0 differs from it in one parameter by ``steps[j - 1]``. Updated in place: ``clock``
-    (1,) s; ``x`` (axes, 9, lanes); ``p`` (9, 9, lanes), lower half; ``total`` (lanes,) log likelihoods; and, if
+    (1,) s; ``x`` (axes, 10, lanes); ``p`` (10, 10, lanes), lower half; ``total`` (lanes,) log likelihoods; and, if
     ``steps`` is not empty, ``score`` (k,), ``fisher`` (k, k) and the scores of each ``block`` s in ``blocks``
     (n, k). ``innovation`` (n, axes, 2), if not empty, takes lane 0's standardised innovations and their deviations.
+    ``sized`` is any tuple of as many items as there are lanes: the compiler then knows their number.
     """
     rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
     k = steps.shape[0]
     start = time[0] if rows else 0.0
-    tau, length, lever, hq, hs = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    length, lever, hq, hs = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     rho, h_over_g = np.empty(lanes), np.empty(lanes)
+    a0, a1, into_w, into_v = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     noise = np.empty((4, lanes))
     density, force = np.empty(lanes), np.empty(lanes)
     for lane in range(lanes):
@@ -146,23 +173,25 @@ def _recursion(
         lever[lane] = mu * r
         hq[lane] = h / length[lane]
         hs[lane] = h * (1.0 + mu * r / length[lane])
-        tau[lane] = math.exp(theta[lane, 7])
         density[lane] = math.exp(theta[lane, 6])
-        force[lane] = math.exp(theta[lane, 12])
+        omega = math.exp(theta[lane, 7])
+        a0[lane] = omega * omega
+        a1[lane] = 2.0 * math.exp(theta[lane, 8]) * omega
+        into_w[lane] = omega * math.exp(theta[lane, 9])
+        into_v[lane] = a0[lane] - a1[lane] * into_w[lane]
+        force[lane] = math.exp(theta[lane, 14])
         for which in range(4):
-            noise[which, lane] = math.exp(2.0 * theta[lane, 8 + which])
-    f_sn = np.empty(lanes)
-    f = np.empty((12, lanes))  # s:u w q beta | nu:w | u:w | w | q:q beta u w | beta:w   (rest follow)
-    fb = np.empty((3, lanes))  # beta: q, beta, u
-    ks = np.empty((4, lanes))
+            noise[which, lane] = math.exp(2.0 * theta[lane, 10 + which])
+    f = np.empty((23, lanes))
+    ks = np.empty((2, 6, lanes))
     noise_matrix = np.zeros((DYNAMIC, DYNAMIC, lanes))
     fp = np.empty((DYNAMIC, STATES, lanes))
+    old = np.empty((DYNAMIC, lanes))
     ph = np.empty((STATES, lanes))
     gain = np.empty((STATES, lanes))
     variance, inverse = np.empty(lanes), np.empty(lanes)
     nu = np.empty((axes, lanes))
-    old = np.empty((DYNAMIC, lanes))
-    impulse = np.empty(DYNAMIC)
+    impulse, integrals = np.empty(DYNAMIC), np.empty(6)
     dnu, ds = np.empty((axes, k)), np.empty(k)
     cached = -1.0
     for row in range(rows):
@@ -173,21 +202,19 @@ def _recursion(
             if abs(t - cached) > 1e-8:
                 cached = t
                 for lane in range(lanes):
-                    e1 = -tau[lane] * math.expm1(-t / tau[lane])
-                    ks[0, lane] = e1
-                    e2 = tau[lane] * (t - e1)
-                    ks[1, lane] = e2
-                    e3 = tau[lane] * (t * t / 2.0 - e2)
-                    ks[2, lane] = e3
-                    ks[3, lane] = tau[lane] * (t * t * t / 6.0 - e3)
-                    f[6, lane] = math.exp(-t / tau[lane])
+                    _integrals(t, a0[lane], a1[lane], 1.0, 0.0, integrals)
+                    for i in range(6):
+                        ks[0, i, lane] = integrals[i]
+                    _integrals(t, a0[lane], a1[lane], 0.0, 1.0, integrals)
+                    for i in range(6):
+                        ks[1, i, lane] = integrals[i]
                     for i in range(DYNAMIC):
                         for j in range(i + 1):
                             noise_matrix[i, j, lane] = 0.0
                     for node in range(3):
+                        _integrals(t * _NODES[node], a0[lane], a1[lane], into_w[lane], into_v[lane], integrals)
                         _response(
-                            t * _NODES[node],
-                            tau[lane],
+                            integrals,
                             length[lane],
                             lever[lane],
                             hq[lane],
@@ -195,77 +222,79 @@ def _recursion(
                             GRAVITY / length[lane],
                             impulse,
                         )
-                        c = density[lane] * t * _WEIGHTS[node] / (tau[lane] * tau[lane])
+                        c = density[lane] * t * _WEIGHTS[node]
                         for i in range(DYNAMIC):
                             for j in range(i + 1):
                                 noise_matrix[i, j, lane] += c * impulse[i] * impulse[j]
-                    noise_matrix[4, 4, lane] += force[lane] * t * t * t / 3.0
-                    noise_matrix[5, 4, lane] += force[lane] * t * t / 2.0
-                    noise_matrix[5, 5, lane] += force[lane] * t
+                    noise_matrix[5, 5, lane] += force[lane] * t * t * t / 3.0
+                    noise_matrix[6, 5, lane] += force[lane] * t * t / 2.0
+                    noise_matrix[6, 6, lane] += force[lane] * t
             for lane in range(lanes):
-                w2 = lift[row] / length[lane] - spin[row]
+                per = 1.0 / length[lane]
+                w2 = lift[row] * per - spin[row]
                 z = w2 * t * t
                 one = z / 2.0 + z * z / 24.0
                 qb = t * (1.0 + z / 6.0 + z * z / 120.0)
-                qu = -(t * t / 2.0) * (1.0 + z / 12.0 + z * z / 360.0) / length[lane]
-                k1, k2, k3, k4 = ks[0, lane], ks[1, lane], ks[2, lane], ks[3, lane]
-                f[0, lane] = t * t / 2.0 - lever[lane] * qu
-                f[1, lane] = k3 + hs[lane] * k1 + lever[lane] * (k3 / length[lane] + hq[lane] * w2 * k3)
-                f[2, lane] = -lever[lane] * one
-                f[3, lane] = -lever[lane] * qb
-                f[4, lane] = k2
-                f[5, lane] = k1
-                f[7, lane] = 1.0 + one
-                f[8, lane] = qb
-                f[9, lane] = qu
-                f[10, lane] = -hq[lane] * (k1 + w2 * k3) - k3 / length[lane]
-                f[11, lane] = -(k2 + w2 * k4) / length[lane] - hq[lane] * w2 * k2
-                fb[0, lane] = w2 * qb
-                fb[1, lane] = 1.0 + one
-                fb[2, lane] = -qb / length[lane]
-                f_sn[lane] = t
+                qu = -(t * t / 2.0) * (1.0 + z / 12.0 + z * z / 360.0) * per
+                f[0, lane] = t
+                f[1, lane] = t * t / 2.0 - lever[lane] * qu
+                f[4, lane] = -lever[lane] * one
+                f[5, lane] = -lever[lane] * qb
+                f[14, lane] = 1.0 + one
+                f[15, lane] = qb
+                f[16, lane] = qu
+                f[19, lane] = w2 * qb
+                f[20, lane] = -qb * per
+                for one_of in range(2):
+                    e, e_dot, k1 = ks[one_of, 0, lane], ks[one_of, 1, lane], ks[one_of, 2, lane]
+                    k2, k3, k4 = ks[one_of, 3, lane], ks[one_of, 4, lane], ks[one_of, 5, lane]
+                    f[2 + one_of, lane] = k3 + hs[lane] * k1 + lever[lane] * (per + hq[lane] * w2) * k3
+                    f[6 + one_of, lane] = k2
+                    f[8 + one_of, lane] = k1
+                    f[10 + one_of, lane] = e
+                    f[12 + one_of, lane] = e_dot
+                    f[17 + one_of, lane] = -hq[lane] * (k1 + w2 * k3) - k3 * per
+                    f[21 + one_of, lane] = -(k2 + w2 * k4) * per - hq[lane] * w2 * k2
             for _ in range(pieces):
                 for axis in range(axes):
                     for lane in range(lanes):
-                        s, n, u, w = x[axis, 0, lane], x[axis, 1, lane], x[axis, 2, lane], x[axis, 3, lane]
-                        q, b = x[axis, 4, lane], x[axis, 5, lane]
-                        x[axis, 0, lane] = s + t * n + f[0, lane] * u + f[1, lane] * w + f[2, lane] * q + f[3, lane] * b
-                        x[axis, 1, lane] = n + t * u + f[4, lane] * w
-                        x[axis, 2, lane] = u + f[5, lane] * w
-                        x[axis, 3, lane] = f[6, lane] * w
-                        x[axis, 4, lane] = f[7, lane] * q + f[8, lane] * b + f[9, lane] * u + f[10, lane] * w
-                        x[axis, 5, lane] = fb[0, lane] * q + fb[1, lane] * b + fb[2, lane] * u + f[11, lane] * w
+                        moved = _moved(
+                            f,
+                            lane,
+                            x[axis, 0, lane],
+                            x[axis, 1, lane],
+                            x[axis, 2, lane],
+                            x[axis, 3, lane],
+                            x[axis, 4, lane],
+                            x[axis, 5, lane],
+                            x[axis, 6, lane],
+                        )
+                        for i in range(DYNAMIC):
+                            x[axis, i, lane] = moved[i]
                 for j in range(STATES):
                     for i in range(DYNAMIC):
-                        if i >= j:
-                            for lane in range(lanes):
-                                old[i, lane] = p[i, j, lane]
-                        else:
-                            for lane in range(lanes):
-                                old[i, lane] = p[j, i, lane]
+                        high, low = max(i, j), min(i, j)
+                        for lane in range(lanes):
+                            old[i, lane] = p[high, low, lane]
                     for lane in range(lanes):
-                        s, n, u, w = old[0, lane], old[1, lane], old[2, lane], old[3, lane]
-                        q, b = old[4, lane], old[5, lane]
-                        fp[0, j, lane] = s + t * n + f[0, lane] * u + f[1, lane] * w + f[2, lane] * q + f[3, lane] * b
-                        fp[1, j, lane] = n + t * u + f[4, lane] * w
-                        fp[2, j, lane] = u + f[5, lane] * w
-                        fp[3, j, lane] = f[6, lane] * w
-                        fp[4, j, lane] = f[7, lane] * q + f[8, lane] * b + f[9, lane] * u + f[10, lane] * w
-                        fp[5, j, lane] = fb[0, lane] * q + fb[1, lane] * b + fb[2, lane] * u + f[11, lane] * w
+                        moved = _moved(
+                            f, lane, old[0, lane], old[1, lane], old[2, lane], old[3, lane], old[4, lane],
+                            old[5, lane], old[6, lane],
+                        )  # fmt: skip
+                        for i in range(DYNAMIC):
+                            fp[i, j, lane] = moved[i]
                 for j in range(DYNAMIC, STATES):
                     for i in range(DYNAMIC):
                         for lane in range(lanes):
                             p[j, i, lane] = fp[i, j, lane]
                 for i in range(DYNAMIC):
                     for lane in range(lanes):
-                        s, n, u, w = fp[i, 0, lane], fp[i, 1, lane], fp[i, 2, lane], fp[i, 3, lane]
-                        q, b = fp[i, 4, lane], fp[i, 5, lane]
-                        old[0, lane] = s + t * n + f[0, lane] * u + f[1, lane] * w + f[2, lane] * q + f[3, lane] * b
-                        old[1, lane] = n + t * u + f[4, lane] * w
-                        old[2, lane] = u + f[5, lane] * w
-                        old[3, lane] = f[6, lane] * w
-                        old[4, lane] = f[7, lane] * q + f[8, lane] * b + f[9, lane] * u + f[10, lane] * w
-                        old[5, lane] = fb[0, lane] * q + fb[1, lane] * b + fb[2, lane] * u + f[11, lane] * w
+                        moved = _moved(
+                            f, lane, fp[i, 0, lane], fp[i, 1, lane], fp[i, 2, lane], fp[i, 3, lane], fp[i, 4, lane],
+                            fp[i, 5, lane], fp[i, 6, lane],
+                        )  # fmt: skip
+                        for j in range(DYNAMIC):
+                            old[j, lane] = moved[j]
                     for j in range(i + 1):
                         for lane in range(lanes):
                             p[i, j, lane] = old[j, lane] + noise_matrix[i, j, lane]
@@ -293,10 +322,10 @@ def _recursion(
                     nu[axis, lane] = value[row, axis] - x[axis, 0, lane] + h_over_g[lane] * x[axis, 2, lane]
         elif which == 2:
             for lane in range(lanes):
-                variance[lane] = ph[0, lane] + rho[lane] * ph[4, lane] + ph[6, lane]
+                variance[lane] = ph[0, lane] + rho[lane] * ph[5, lane] + ph[7, lane]
             for axis in range(axes):
                 for lane in range(lanes):
-                    expected = x[axis, 0, lane] + rho[lane] * x[axis, 4, lane] + x[axis, 6, lane]
+                    expected = x[axis, 0, lane] + rho[lane] * x[axis, 5, lane] + x[axis, 7, lane]
                     nu[axis, lane] = value[row, axis] - expected
         else:
             for lane in range(lanes):
@@ -536,8 +565,8 @@ class _State:
 
     @classmethod
     def at(cls, time: float, lanes: int, axes: int) -> "_State":
-        # s, nu, u, w, q, beta, c_rod, c_tilt, c_direction: wide against any flight, in m, s and rad
-        deviations = np.array([1.0, 3.0, 3.0, 10.0, 0.3, 2.0, 0.02, 1.0, 0.1])
+        # s, nu, u, w, w', q, beta, c_rod, c_tilt, c_direction: wide against any flight, in m, s and rad
+        deviations = np.array([1.0, 3.0, 3.0, 10.0, 1000.0, 0.3, 2.0, 0.02, 1.0, 0.1])
         p = np.zeros((STATES, STATES, lanes))
         p[np.arange(STATES), np.arange(STATES)] = (deviations**2)[:, None]
         return cls(np.array([time]), np.zeros((axes, STATES, lanes)), p)
@@ -561,7 +590,7 @@ BLOCK = 0.1
 def run(
     rows: Rows, theta: NDArray, steps: NDArray | None = None, innovations: bool = False, state: _State | None = None
 ) -> _Pass:
-    """Filter all rows for every row of ``theta`` (lanes, 13); see ``_recursion``."""
+    """Filter all rows for every row of ``theta`` (lanes, 15); see ``_recursion``."""
     wanted, axes, n = len(theta), rows.value.shape[1], len(rows.time)
     # a whole number of vectors: without a remainder the compiler keeps all lanes in step, twice as fast
     lanes = 1 if wanted == 1 else -(-wanted // 16) * 16
@@ -591,21 +620,21 @@ FORCE_FREE = 1e-12
 
 
 class Prior(NamedTuple):
-    """Independent Gaussians: ``means`` and ``tolerances`` (12,) of what ``quantities`` returns."""
+    """Independent Gaussians: ``means`` and ``tolerances`` (14,) of what ``quantities`` returns."""
 
     means: NDArray
     tolerances: NDArray
 
     @staticmethod
     def quantities(theta: NDArray) -> NDArray:
-        """What the priors are about, (..., 13) -> (..., 12)."""
+        """What the priors are about, (..., 15) -> (..., 14)."""
         t = np.moveaxis(theta, -1, 0)
         distance = t[R] + t[OFFSET] + t[H]
         told = [inertia_factor_of(t), t[OFFSET], t[H], t[H] - t[HC], t[MU], distance]
         return np.stack([*told, *t[Q : ND + 1]], axis=-1)
 
     def deviations(self, theta: NDArray) -> NDArray:
-        """Of theta (..., 13) from the priors, over their tolerances (..., 12)."""
+        """Of theta (..., 15) from the priors, over their tolerances (..., 14)."""
         return (self.quantities(theta) - self.means) / self.tolerances
 
 
@@ -615,7 +644,7 @@ TOLD = ("inertia factor", "tracked point of the rod", "seat height", "height of 
 
 
 def inertia_factor_of(theta: NDArray) -> NDArray:
-    """lambda = r / (L_e + mu r) of the parameters theta (13, ...)."""
+    """lambda = r / (L_e + mu r) of the parameters theta (15, ...)."""
     return theta[R] / (np.exp(theta[LE]) + theta[MU] * theta[R])
 
 
@@ -635,11 +664,11 @@ class Fit:
 
 
 STEP = 1e-5
-_LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.5])
+_LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 1.5])
 
 
 def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 0.1) -> Fit:
-    """Fisher scoring with Levenberg's damping from theta (13,) over the ``free`` parameters."""
+    """Fisher scoring with Levenberg's damping from theta (15,) over the ``free`` parameters."""
     k = len(free)
     steps = np.full(k, STEP)
 
@@ -942,7 +971,7 @@ def _start(rows: Rows, knowledge: Knowledge, distance: float, flies: bool) -> ND
     lanes[..., H] = lanes[..., HC] = seat
     lanes[..., MU] = knowledge.mass_ratio.value if flies else 0.0
     lanes[..., Q] = math.log(density)
-    lanes[..., TAU] = math.log(knowledge.lag)
+    lanes[..., OMEGA], lanes[..., ZETA], lanes[..., ZERO] = _shape(knowledge)
     lanes[..., NV], lanes[..., NR] = (math.log(knowledge.noise[0]),) * 2
     lanes[..., NT], lanes[..., ND] = (math.log(knowledge.noise[1]),) * 2
     lanes[..., NF] = math.log(FORCE_FREE)
@@ -965,7 +994,7 @@ def _fit(
     if not tracked:
         theta[OFFSET] = 0.0
     theta[R] = max(theta[R], 0.02)
-    free = [LE, R, Q, TAU, NV]
+    free = [LE, R, Q, OMEGA, ZETA, ZERO, NV]
     free += [OFFSET, NR] if tracked else []
     free += [H, HC, MU, NT] if flies else []
     free += [ND] if seen else []
@@ -977,10 +1006,16 @@ def _fit(
     if not flies:
         priors[2:] = [Told(0.0, 1.0), Told(0.0, 1.0), Told(0.0, 1.0)]
     priors += [Told(distance, k.distance_tolerance) if use else Told(0.0, math.inf)]
-    priors += [Told(start[Q], 3.0), Told(math.log(k.lag), 1.0)]
+    frequency, damping, zero = _shape(k)
+    priors += [Told(start[Q], 3.0), Told(frequency, 1.0), Told(damping, 0.7), Told(zero, 1.0)]
     priors += [Told(position, 1.0), Told(attitude, 1.0)] * 2
     means, tolerances = np.array(priors).T
     return maximise(rows, theta, free, Prior(means, np.maximum(tolerances, 1e-6)))
+
+
+def _shape(knowledge: Knowledge) -> tuple[float, float, float]:
+    """Guesses of log omega, log zeta and log omega T: the corner of the rate loop, well damped."""
+    return -math.log(knowledge.lag), math.log(0.6), math.log(0.7)
 
 
 def _value(fit: Fit, function) -> Value:
@@ -1015,7 +1050,7 @@ def _common(fit: Fit, distance: float, flies: bool, tracked: bool) -> dict:
 
 
 def _conflicts(fit: Fit) -> NDArray:
-    """Deviation of the posterior from each prior, over what it should be if the prior were right (12,).
+    """Deviation of the posterior from each prior, over what it should be if the prior were right (14,).
 
     With prior variance V0 and posterior variance V, the posterior mean deviates from the prior's by V0 - V.
     """
