@@ -78,7 +78,7 @@ class Rows(NamedTuple):
     """Measured rows sorted by time.
 
     ``time`` (n,) s; ``kind`` (n,); ``value`` (n, axes) m, m/s^2 or 1; ``scale`` (n,) the factor on the kind's noise;
-    ``lift`` (n,) q . U in m/s^2 and ``spin`` (n,) |q'|^2 in 1/s^2, both smoothed.
+    ``lift`` (n,) q . U in m/s^2, ``spin`` (n,) |q'|^2 in 1/s^2 and ``pull`` (n,) F / M in m/s^2, all smoothed.
     """
 
     time: NDArray
@@ -87,6 +87,7 @@ class Rows(NamedTuple):
     scale: NDArray
     lift: NDArray
     spin: NDArray
+    pull: NDArray
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -116,19 +117,6 @@ def _integrals(t, a0, a1, w, v, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _response(k, length, lever, hq, hs, w2, out):  # pragma: no cover - compiled
-    """Response of all dynamic states to a rate w(t) with the integrals k (6,), into out (7,)."""
-    integral = -k[4] / length - hq * w2 * k[4]
-    out[0] = k[4] + hs * k[2] - lever * integral
-    out[1] = k[3]
-    out[2] = k[2]
-    out[3] = k[0]
-    out[4] = k[1]
-    out[5] = -hq * (k[2] + w2 * k[4]) - k[4] / length
-    out[6] = -(k[3] + w2 * k[5]) / length - hq * w2 * k[3]
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
     """The dynamic states after a step, by the transition's coefficients f (24, lanes)."""
     t = f[0, lane]
@@ -145,7 +133,7 @@ def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, theta, steps, clock, x, p, total, score, fisher, blocks, block, innovation,
+    time, kind, value, scale, lift, spin, pull, theta, steps, clock, x, p, total, score, fisher, blocks, block, innovation,
     sized,
 ):  # fmt: skip # pragma: no cover - compiled
     """Run the filter of every row of ``theta`` (lanes, 15) over all rows, from the state in ``clock``, ``x``, ``p``.
@@ -159,8 +147,8 @@ def _recursion(
     rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
     k = steps.shape[0]
     start = time[0] if rows else 0.0
-    length, lever, hq, hs = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    rho, h_over_g = np.empty(lanes), np.empty(lanes)
+    length, lever, seat, kick = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    rho, height, h_over_g = np.empty(lanes), np.empty(lanes), np.empty(lanes)
     a0, a1, into_w, into_v = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     noise = np.empty((4, lanes))
     density, force = np.empty(lanes), np.empty(lanes)
@@ -168,11 +156,10 @@ def _recursion(
         length[lane] = math.exp(theta[lane, 0])
         r, mu = theta[lane, 1], theta[lane, 5]
         rho[lane] = r + theta[lane, 2]
-        h_over_g[lane] = theta[lane, 3] / GRAVITY
-        h = (1.0 - mu) * theta[lane, 4] / GRAVITY
+        height[lane] = theta[lane, 3]
         lever[lane] = mu * r
-        hq[lane] = h / length[lane]
-        hs[lane] = h * (1.0 + mu * r / length[lane])
+        seat[lane] = (1.0 - mu) * theta[lane, 4]
+        kick[lane] = 1.0 + mu * r / length[lane]
         density[lane] = math.exp(theta[lane, 6])
         omega = math.exp(theta[lane, 7])
         a0[lane] = omega * omega
@@ -182,55 +169,95 @@ def _recursion(
         force[lane] = math.exp(theta[lane, 14])
         for which in range(4):
             noise[which, lane] = math.exp(2.0 * theta[lane, 10 + which])
+    # lanes that differ in other parameters share the integrals of w
+    same = np.empty(lanes, np.int64)
+    for lane in range(lanes):
+        same[lane] = lane
+        for other in range(lane - 1, -1, -1):
+            if (
+                a0[other] == a0[lane]
+                and a1[other] == a1[lane]
+                and into_w[other] == into_w[lane]
+                and into_v[other] == into_v[lane]
+            ):
+                same[lane] = other
     f = np.empty((23, lanes))
-    ks = np.empty((2, 6, lanes))
-    noise_matrix = np.zeros((DYNAMIC, DYNAMIC, lanes))
+    # steps of four lengths are kept: two bodies, each stamped on its own, take turns
+    ages, slot, oldest = np.full(4, -1.0), 0, 0
+    kept = np.empty((4, 2, 6, lanes))
+    kept_noise = np.zeros((4, DYNAMIC, DYNAMIC, lanes))
     fp = np.empty((DYNAMIC, STATES, lanes))
     old = np.empty((DYNAMIC, lanes))
     ph = np.empty((STATES, lanes))
     gain = np.empty((STATES, lanes))
     variance, inverse = np.empty(lanes), np.empty(lanes)
     nu = np.empty((axes, lanes))
-    impulse, integrals = np.empty(DYNAMIC), np.empty(6)
+    impulse, integrals = np.empty((DYNAMIC, lanes)), np.empty(6)
+    spread = np.empty((6, lanes))
     dnu, ds = np.empty((axes, k)), np.empty(k)
-    cached = -1.0
     for row in range(rows):
         gap = time[row] - clock[0]
         if gap > 0.0:
             pieces = int(math.ceil(gap / LONGEST_STEP - 1e-9))
             t = gap / pieces
-            if abs(t - cached) > 1e-8:
-                cached = t
-                for lane in range(lanes):
-                    _integrals(t, a0[lane], a1[lane], 1.0, 0.0, integrals)
-                    for i in range(6):
-                        ks[0, i, lane] = integrals[i]
-                    _integrals(t, a0[lane], a1[lane], 0.0, 1.0, integrals)
-                    for i in range(6):
-                        ks[1, i, lane] = integrals[i]
+            slot = -1
+            for i in range(4):
+                if abs(t - ages[i]) < 1e-8:
+                    slot = i
+            if slot < 0:
+                slot, oldest = oldest, (oldest + 1) % 4
+                ages[slot] = t
+                for one_of in range(2):
+                    for lane in range(lanes):
+                        if same[lane] == lane:
+                            _integrals(t, a0[lane], a1[lane], 1.0 - one_of, 1.0 * one_of, integrals)
+                            for i in range(6):
+                                kept[slot, one_of, i, lane] = integrals[i]
+                        else:
+                            for i in range(6):
+                                kept[slot, one_of, i, lane] = kept[slot, one_of, i, same[lane]]
+                for i in range(DYNAMIC):
+                    for j in range(i + 1):
+                        for lane in range(lanes):
+                            kept_noise[slot, i, j, lane] = 0.0
+                for node in range(3):
+                    for lane in range(lanes):
+                        if same[lane] == lane:
+                            _integrals(t * _NODES[node], a0[lane], a1[lane], into_w[lane], into_v[lane], integrals)
+                            for i in range(6):
+                                spread[i, lane] = integrals[i]
+                        else:
+                            for i in range(6):
+                                spread[i, lane] = spread[i, same[lane]]
+                    weight = t * _WEIGHTS[node]
+                    for lane in range(lanes):
+                        root = math.sqrt(density[lane] * weight)
+                        per = 1.0 / length[lane]
+                        h = seat[lane] / GRAVITY
+                        hq = h * per
+                        w2 = GRAVITY * per
+                        e, e_dot, k1 = root * spread[0, lane], root * spread[1, lane], root * spread[2, lane]
+                        k2, k3, k4 = root * spread[3, lane], root * spread[4, lane], root * spread[5, lane]
+                        impulse[0, lane] = k3 + h * kick[lane] * k1 + lever[lane] * (per + hq * w2) * k3
+                        impulse[1, lane] = k2
+                        impulse[2, lane] = k1
+                        impulse[3, lane] = e
+                        impulse[4, lane] = e_dot
+                        impulse[5, lane] = -hq * (k1 + w2 * k3) - k3 * per
+                        impulse[6, lane] = -(k2 + w2 * k4) * per - hq * w2 * k2
                     for i in range(DYNAMIC):
                         for j in range(i + 1):
-                            noise_matrix[i, j, lane] = 0.0
-                    for node in range(3):
-                        _integrals(t * _NODES[node], a0[lane], a1[lane], into_w[lane], into_v[lane], integrals)
-                        _response(
-                            integrals,
-                            length[lane],
-                            lever[lane],
-                            hq[lane],
-                            hs[lane],
-                            GRAVITY / length[lane],
-                            impulse,
-                        )
-                        c = density[lane] * t * _WEIGHTS[node]
-                        for i in range(DYNAMIC):
-                            for j in range(i + 1):
-                                noise_matrix[i, j, lane] += c * impulse[i] * impulse[j]
-                    noise_matrix[5, 5, lane] += force[lane] * t * t * t / 3.0
-                    noise_matrix[6, 5, lane] += force[lane] * t * t / 2.0
-                    noise_matrix[6, 6, lane] += force[lane] * t
+                            for lane in range(lanes):
+                                kept_noise[slot, i, j, lane] += impulse[i, lane] * impulse[j, lane]
+                for lane in range(lanes):
+                    kept_noise[slot, 5, 5, lane] += force[lane] * t * t * t / 3.0
+                    kept_noise[slot, 6, 5, lane] += force[lane] * t * t / 2.0
+                    kept_noise[slot, 6, 6, lane] += force[lane] * t
+            ks, noise_matrix = kept[slot], kept_noise[slot]
             for lane in range(lanes):
                 per = 1.0 / length[lane]
+                h = seat[lane] / pull[row]
+                hs, hq = h * kick[lane], h * per
                 w2 = lift[row] * per - spin[row]
                 z = w2 * t * t
                 one = z / 2.0 + z * z / 24.0
@@ -248,13 +275,13 @@ def _recursion(
                 for one_of in range(2):
                     e, e_dot, k1 = ks[one_of, 0, lane], ks[one_of, 1, lane], ks[one_of, 2, lane]
                     k2, k3, k4 = ks[one_of, 3, lane], ks[one_of, 4, lane], ks[one_of, 5, lane]
-                    f[2 + one_of, lane] = k3 + hs[lane] * k1 + lever[lane] * (per + hq[lane] * w2) * k3
+                    f[2 + one_of, lane] = k3 + hs * k1 + lever[lane] * (per + hq * w2) * k3
                     f[6 + one_of, lane] = k2
                     f[8 + one_of, lane] = k1
                     f[10 + one_of, lane] = e
                     f[12 + one_of, lane] = e_dot
-                    f[17 + one_of, lane] = -hq[lane] * (k1 + w2 * k3) - k3 * per
-                    f[21 + one_of, lane] = -(k2 + w2 * k4) * per - hq[lane] * w2 * k2
+                    f[17 + one_of, lane] = -hq * (k1 + w2 * k3) - k3 * per
+                    f[21 + one_of, lane] = -(k2 + w2 * k4) * per - hq * w2 * k2
             for _ in range(pieces):
                 for axis in range(axes):
                     for lane in range(lanes):
@@ -300,6 +327,8 @@ def _recursion(
                             p[i, j, lane] = old[j, lane] + noise_matrix[i, j, lane]
             clock[0] = time[row]
         which = kind[row]
+        for lane in range(lanes):
+            h_over_g[lane] = height[lane] / pull[row]
         first, second = _FIRST[which], _SECOND[which]
         for i in range(STATES):
             a_row, a_column = max(i, first), min(i, first)
@@ -526,6 +555,7 @@ def rows_of(vehicle: Body, rod: Body) -> Rows:
     upright = np.sqrt(np.maximum(1.0 - np.sum(lean[0] ** 2, axis=1), 0.0))
     lift = np.sum(lean[0] * thrust, axis=1) + upright * weight
     spin = np.sum(lean[1] ** 2, axis=1)
+    pull = np.sqrt(np.sum(thrust**2, axis=1) + weight**2)
 
     parts = [(VEHICLE, vehicle.time, (vehicle.position - origin)[:, :2], None)]
     if vehicle.axis is not None:
@@ -535,10 +565,10 @@ def rows_of(vehicle: Body, rod: Body) -> Rows:
         parts.append((ROD, rod.time, (rod.position - origin)[:, :2], None))
     if rod.axis is not None:
         parts.append((DIRECTION, rod.time, rod.axis[:, :2], None))
-    return _sorted_rows(parts, events, lift, spin)
+    return _sorted_rows(parts, events, lift, spin, pull)
 
 
-def _sorted_rows(parts: Sequence[tuple], events: NDArray, lift: NDArray, spin: NDArray) -> Rows:
+def _sorted_rows(parts: Sequence[tuple], events: NDArray, lift: NDArray, spin: NDArray, pull: NDArray) -> Rows:
     time = np.concatenate([part[1] for part in parts])
     kind = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
     value = np.concatenate([part[2] for part in parts])
@@ -552,6 +582,7 @@ def _sorted_rows(parts: Sequence[tuple], events: NDArray, lift: NDArray, spin: N
         scale[order],
         lift[at],
         spin[at],
+        pull[at],
     )
 
 
@@ -869,7 +900,7 @@ def planar(
         lag=knowledge.lag,
         lengths=knowledge.lengths,
     )
-    return _answer(_sorted_rows(parts, events, lift, spin), known, math.nan, False, [])
+    return _answer(_sorted_rows(parts, events, lift, spin, np.full(len(events), GRAVITY)), known, math.nan, False, [])
 
 
 LEAST_QUANTA = 4.0
