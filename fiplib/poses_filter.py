@@ -30,6 +30,7 @@ for one point and for its neighbours side by side, so that one pass gives the li
 information, and Fisher scoring finds the maximum.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -133,20 +134,18 @@ def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, pull, theta, steps, clock, x, p, total, score, fisher, blocks, block, innovation,
-    sized,
+    time, kind, value, scale, lift, spin, pull, theta, steps, clock, x, p, total, score, fisher, innovation, sized,
 ):  # fmt: skip # pragma: no cover - compiled
     """Run the filter of every row of ``theta`` (lanes, 15) over all rows, from the state in ``clock``, ``x``, ``p``.
 
     Lane 0 is the point; lane j > 0 differs from it in one parameter by ``steps[j - 1]``. Updated in place: ``clock``
     (1,) s; ``x`` (axes, 10, lanes); ``p`` (10, 10, lanes), lower half; ``total`` (lanes,) log likelihoods; and, if
-    ``steps`` is not empty, ``score`` (k,), ``fisher`` (k, k) and the scores of each ``block`` s in ``blocks``
-    (n, k). ``innovation`` (n, axes, 2), if not empty, takes lane 0's standardised innovations and their deviations.
-    ``sized`` is any tuple of as many items as there are lanes: the compiler then knows their number.
+    ``steps`` is not empty, ``score`` (k,) and ``fisher`` (k, k). ``innovation`` (n, axes, 2), if not
+    empty, takes lane 0's standardised innovations and their deviations. ``sized`` is any tuple of as many items as
+    there are lanes: the compiler then knows their number.
     """
     rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
     k = steps.shape[0]
-    start = time[0] if rows else 0.0
     length, lever, seat, kick = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     rho, height, h_over_g = np.empty(lanes), np.empty(lanes), np.empty(lanes)
     a0, a1, into_w, into_v = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
@@ -198,7 +197,7 @@ def _recursion(
     for row in range(rows):
         gap = time[row] - clock[0]
         if gap > 0.0:
-            pieces = int(math.ceil(gap / LONGEST_STEP - 1e-9))
+            pieces = math.ceil(gap / LONGEST_STEP - 1e-9)
             t = gap / pieces
             slot = -1
             for i in range(4):
@@ -384,7 +383,6 @@ def _recursion(
                 innovation[row, axis, 0] = nu[axis, 0] * math.sqrt(inverse[0])
                 innovation[row, axis, 1] = math.sqrt(variance[0])
         if k:
-            part = min(int((time[row] - start) / block), blocks.shape[0] - 1)
             root = math.sqrt(inverse[0])
             chi = 0.0
             for axis in range(axes):
@@ -396,7 +394,6 @@ def _recursion(
                     dnu[axis, j] = (nu[axis, j + 1] - nu[axis, 0]) / steps[j] * root
                     g -= nu[axis, 0] * root * dnu[axis, j]
                 score[j] += g
-                blocks[part, j] += g
                 for i in range(j + 1):
                     information = 0.5 * axes * ds[i] * ds[j]
                     for axis in range(axes):
@@ -453,7 +450,7 @@ def _parabolas(time, values, at, half):  # pragma: no cover - compiled
 
 
 class Body(NamedTuple):
-    """One tracked body: ``time`` (n,) s, ``position`` (n, 3) m or None, ``axis`` (n, 3) its body z in the world or None.
+    """One tracked body: ``time`` (n,) s; ``position`` (n, 3) m, ``axis`` (n, 3) its body z in the world, or None.
 
     Rows may come in any order; rows that are not finite are left out.
     """
@@ -468,6 +465,9 @@ class Told(NamedTuple):
 
     value: float
     tolerance: float
+
+
+_SEAT, _COM, _MASS = Told(0.04, 0.1), Told(0.0, 0.05), Told(0.053, 0.001)
 
 
 @dataclass(frozen=True)
@@ -490,9 +490,9 @@ class Knowledge:
 
     inertia_factor: Told | None = None
     marker_offset: Told | None = None
-    seat_height: Told = Told(0.04, 0.1)
-    com_height: Told = Told(0.0, 0.05)
-    mass_ratio: Told = Told(0.053, 0.001)
+    seat_height: Told = _SEAT
+    com_height: Told = _COM
+    mass_ratio: Told = _MASS
     distance_tolerance: float = 1e-3
     noise: tuple[float, float] = (0.2e-3, 1e-3)
     lag: float = 15e-3
@@ -523,22 +523,30 @@ def parabolas(time: NDArray, values: NDArray, at: NDArray, half: float) -> NDArr
     return _parabolas(np.ascontiguousarray(time), np.ascontiguousarray(values), np.ascontiguousarray(at), half)
 
 
-def _cleaned(body: Body) -> Body:
-    """Sorted by time; without rows that are not finite and without a second row of one stamp."""
+def _cleaned(body: Body, name: str = "", notes: list[str] | None = None) -> Body:
+    """Sorted by time; without rows that are not finite and without a second row of one stamp; ``notes`` say so."""
     time = np.asarray(body.time, dtype=float)
     parts = [np.asarray(part, dtype=float) for part in body[1:] if part is not None]
     good = np.isfinite(time)
     for part in parts:
         good &= np.isfinite(part).all(axis=1)
     order = np.flatnonzero(good)[np.argsort(time[good], kind="stable")]
-    order = order[np.diff(time[order], prepend=-np.inf) > 0.0]
+    fresh = np.diff(time[order], prepend=-np.inf) > 0.0
+    if notes is not None:
+        found = {
+            "are not finite and were left out": int(np.sum(~good)),
+            "were out of order and were sorted": int(np.sum(np.diff(time[good]) < 0.0)),
+            "repeat the stamp of another one and were left out": int(np.sum(~fresh)),
+        }
+        notes += [f"{count} poses of the {name} {what}" for what, count in found.items() if count]
+    order = order[fresh]
     return Body(time[order], *(None if part is None else np.asarray(part, dtype=float)[order] for part in body[1:]))
 
 
-def rows_of(vehicle: Body, rod: Body) -> Rows:
-    """The measured rows of cleaned bodies; positions count from the vehicle's first one."""
+def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
+    """The measured rows of cleaned bodies; positions count from ``origin`` (3,), by default the vehicle's first one."""
     events = np.union1d(vehicle.time, rod.time)
-    origin = vehicle.position[0]
+    origin = vehicle.position[0] if origin is None else origin
     place = parabolas(vehicle.time, vehicle.position - origin, events, 0.05)
     rise = parabolas(vehicle.time, vehicle.position[:, 2:] - origin[2], events, 0.15)[2, :, 0]
     weight = GRAVITY + rise
@@ -610,12 +618,7 @@ class _Pass:
     total: NDArray
     score: NDArray
     fisher: NDArray
-    blocks: NDArray
     innovation: NDArray
-
-
-BLOCK = 0.1
-"""Length in s of the blocks over which scores are summed for the robust covariance."""
 
 
 def run(
@@ -629,17 +632,15 @@ def run(
     steps = np.zeros(0) if steps is None else steps
     state = state or _State.at(rows.time[0], lanes, axes)
     k = len(steps)
-    parts = int((rows.time[-1] - rows.time[0]) / BLOCK) + 1 if k else 0
     out = _Pass(
         np.zeros(lanes),
         np.zeros(k),
         np.zeros((k, k)),
-        np.zeros((parts, k)),
         np.zeros((n if innovations else 0, axes, 2)),
     )
     _recursion(
-        *rows, theta, steps, state.clock, state.x, state.p, out.total, out.score, out.fisher, out.blocks, BLOCK,
-        out.innovation, (0,) * lanes,
+        *rows, theta, steps, state.clock, state.x, state.p, out.total, out.score, out.fisher, out.innovation,
+        (0,) * lanes,
     )  # fmt: skip
     out.total = out.total[:wanted]
     out.fisher = np.tril(out.fisher) + np.tril(out.fisher, -1).T
@@ -699,7 +700,7 @@ _LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 0.5, 0.5, 0.5, 1.0, 1
 
 
 def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 0.1) -> Fit:
-    """Fisher scoring with Levenberg's damping from theta (15,) over the ``free`` parameters."""
+    """Fisher scoring from theta (15,) over the ``free`` parameters, with shorter steps where full ones go too far."""
     k = len(free)
     steps = np.full(k, STEP)
 
@@ -713,14 +714,12 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance:
         return value, out.score - slopes @ deviations[0], out.fisher + slopes @ slopes.T, out
 
     value, score, information, out = evaluate(theta)
-    damping, iterations, converged = 1e-3, 1, False
-    while iterations < 40:
+    relaxation, iterations, converged = 1.0, 1, False
+    while iterations < 40 and relaxation > 1e-3:
         scale = 1.0 / np.sqrt(np.diag(information))
-        scaled = information * np.outer(scale, scale)
-        step = scale * np.linalg.solve(scaled + damping * np.eye(k), scale * score)
-        step *= min(1.0, float(np.min(_LARGEST[free] / np.maximum(np.abs(step), 1e-12))))
-        gain = float(score @ step)
-        if 0.0 <= gain < tolerance:
+        full = scale * np.linalg.solve(information * np.outer(scale, scale), scale * score)
+        step = full * min(relaxation, float(np.min(_LARGEST[free] / np.maximum(np.abs(full), 1e-12))))
+        if 0.0 <= score @ full < tolerance:
             # so close that the likelihood is a parabola: the step ends at its top
             theta = theta.copy()
             theta[free] += step
@@ -732,14 +731,13 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance:
         trial[MU] = max(trial[MU], 0.0)
         after = evaluate(trial)
         iterations += 1
-        if math.isfinite(after[0]) and after[0] > value - 1e-6:
+        better = math.isfinite(after[0]) and after[0] > value
+        # the expected information can fall short of the curvature: the step then goes too far, and every time
+        if not better or after[1] @ step < -0.3 * (score @ step):
+            relaxation /= 2.0
+        if better:
             theta = trial
             value, score, information, out = after
-            damping = max(damping / 10.0, 1e-9)
-        else:
-            damping *= 10.0
-            if damping > 1e6:
-                break
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     return Fit(theta, free, covariance, value, out, prior, information, iterations, converged)
@@ -835,11 +833,14 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
     if vehicle.position is None or (rod.position is None and rod.axis is None):
         raise ValueError("an estimate needs the vehicle's positions, and the rod's positions or axes")
     knowledge = knowledge or Knowledge()
-    vehicle, rod = _cleaned(vehicle), _cleaned(rod)
+    notes: list[str] = []
+    vehicle, rod = _cleaned(vehicle, "vehicle", notes), _cleaned(rod, "rod", notes)
     if min(len(vehicle.time), len(rod.time)) < LEAST_ROWS:
-        return PoseEstimate(reason=f"too few poses: {len(vehicle.time)} of the vehicle and {len(rod.time)} of the rod, "
+        return PoseEstimate(
+            notes=tuple(notes),
+            reason=f"too few poses: {len(vehicle.time)} of the vehicle and {len(rod.time)} of the rod, "
                             f"at least {LEAST_ROWS} of each are needed; record longer")  # fmt: skip
-    distance, notes = math.nan, []
+    distance = math.nan
     if rod.position is not None:
         rod, distance, dropped = _without_jumps(vehicle, rod)
         if dropped:
@@ -856,7 +857,27 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
             )
         rod = Body(rod.time, None, rod.axis)
         notes.append("the rod is tracked at its foot: its orientation alone was used")
-    return _answer(rows_of(vehicle, rod), knowledge, distance, vehicle.axis is not None, notes)
+    rows = rows_of(vehicle, rod)
+    leaned = _largest_lean(vehicle, rod)
+    if leaned > LARGEST_LEAN:
+        return PoseEstimate(notes=tuple(notes), reason=f"rod or vehicle leans by {math.degrees(leaned):.0f} deg, "
+                            f"too far for the model; leave out the stretch where it falls")  # fmt: skip
+    return _answer(rows, knowledge, distance, vehicle.axis is not None, notes)
+
+
+LARGEST_LEAN = 0.3
+"""Refused above this angle, rad: terms of second order are taken from smoothed poses, which is then too coarse."""
+
+
+def _largest_lean(vehicle: Body, rod: Body) -> float:
+    """The largest angle of rod or vehicle from upright, rad, single noisy poses aside."""
+    leans = []
+    if rod.position is not None:
+        place = np.column_stack([np.interp(rod.time, vehicle.time, column) for column in vehicle.position.T])
+        arm = rod.position - place
+        leans.append(np.arctan2(np.linalg.norm(arm[:, :2], axis=1), arm[:, 2]))
+    leans += [np.arccos(np.clip(body.axis[:, 2], -1.0, 1.0)) for body in (vehicle, rod) if body.axis is not None]
+    return max(float(np.quantile(lean, 0.995)) for lean in leans)
 
 
 SHORTEST_ARM = 0.1
@@ -864,20 +885,28 @@ SHORTEST_ARM = 0.1
 
 
 def planar(
-    base_time: ArrayLike, base: ArrayLike, angle_time: ArrayLike, angle: ArrayLike, knowledge: Knowledge | None = None
+    base_time: ArrayLike,
+    base: ArrayLike,
+    angle_time: ArrayLike,
+    angle: ArrayLike,
+    knowledge: Knowledge | None = None,
+    arm_radius: float = math.inf,
 ) -> PoseEstimate:
     """Estimate the effective length of a rod balanced in one plane on a cart or an arm, by two encoders.
+
+    Real encoders, joints and belts are no motion capture. Where innovations show that the model leaves something out,
+    a second fit gives the rod an unknown white force too; the difference between both lengths is then taken for one
+    more standard deviation.
 
     Args:
         base_time, base: s, and position of the rod's pivot along its path, m.
         angle_time, angle: s, and angle of the rod from upright, rad, positive towards positive positions.
         knowledge: priors; masses and seat have no meaning here.
+        arm_radius: radius of the circle on which an arm moves the pivot, m; infinite for a cart.
     """
     knowledge = knowledge or Knowledge()
-    planes = [
-        (np.asarray(t, dtype=float), np.asarray(v, dtype=float)) for t, v in ((base_time, base), (angle_time, angle))
-    ]
-    cleaned = [_cleaned(Body(t, v[:, None])) for t, v in planes]
+    sensors = ((base_time, base), (angle_time, angle))
+    cleaned = [_cleaned(Body(np.asarray(t, dtype=float), np.asarray(v, dtype=float)[:, None])) for t, v in sensors]
     if min(len(body.time) for body in cleaned) < LEAST_ROWS:
         return PoseEstimate(reason=f"too few samples: at least {LEAST_ROWS} of each sensor are needed; record longer")
     (base_time, base, _), (angle_time, angle, _) = cleaned
@@ -885,22 +914,61 @@ def planar(
     quanta = [_quantum(base[:, 0]), _quantum(angle[:, 0])]
     moved = float(np.std(angle))
     if moved < LEAST_QUANTA * quanta[1]:
-        return PoseEstimate(reason=f"the rod moves by {moved / max(quanta[1], 1e-12):.1f} steps of its encoder, not by "
-                            f"{LEAST_QUANTA:g}: excite it more, or use a finer encoder")  # fmt: skip
+        return PoseEstimate(reason=f"quantisation: the rod moves by {moved / quanta[1]:.1f} steps of its encoder, not "
+                            f"by {LEAST_QUANTA:g}; excite it more, or use a finer encoder")  # fmt: skip
     events = np.union1d(base_time, angle_time)
-    force = parabolas(base_time, base, events, 0.05)[2, :, 0]
+    speed, force = parabolas(base_time, base, events, 0.05)[1:, :, 0]
     sine = parabolas(angle_time, np.sin(angle), events, 0.05)[:2, :, 0]
-    lift = sine[0] * force + np.sqrt(np.maximum(1.0 - sine[0] ** 2, 0.0)) * GRAVITY
-    spin = sine[1] ** 2 / np.maximum(1.0 - sine[0] ** 2, 0.1)
+    upright = np.maximum(1.0 - sine[0] ** 2, 0.1)
+    lift = sine[0] * force + np.sqrt(upright) * GRAVITY
+    # |q'|^2, and the centrifugal force of the arm
+    spin = sine[1] ** 2 / upright - (speed / arm_radius) ** 2 * upright
     parts = [(VEHICLE, base_time, base, None), (DIRECTION, angle_time, np.sin(angle), None)]
+    rows = _sorted_rows(parts, events, lift, spin, np.full(len(events), GRAVITY))
     floor = [max(quantum / math.sqrt(12.0), noise) for quantum, noise in zip(quanta, knowledge.noise, strict=True)]
-    known = Knowledge(
-        knowledge.inertia_factor,
-        noise=(floor[0], floor[1]),
-        lag=knowledge.lag,
-        lengths=knowledge.lengths,
-    )
-    return _answer(_sorted_rows(parts, events, lift, spin, np.full(len(events), GRAVITY)), known, math.nan, False, [])
+    known = dataclasses.replace(knowledge, noise=(floor[0], floor[1]))
+    start = _start(rows, known, math.nan, False)
+    told = known.inertia_factor or UNIFORM
+    fit = _fit(rows, known, math.nan, False, start, told, ANY_OFFSET)
+    innovation = run(rows, fit.theta[None], innovations=True).innovation[:, :, 0]
+    whiteness = {KINDS[kind]: _correlation(innovation[rows.kind == kind]) for kind in (VEHICLE, DIRECTION)}
+    assumed = _assumptions(fit, "told" if known.inertia_factor else "uniform", known, False, False, math.nan)
+    notes, extra = [], 0.0
+    if max(whiteness.values()) > LARGEST_CORRELATION or _largest_jump(rows.time, innovation)[0] > LARGEST_JUMP:
+        pushed = _fit(rows, known, math.nan, False, start, told, ANY_OFFSET, force=True)
+        extra = abs(pushed.theta[LE] - fit.theta[LE])
+        notes.append(
+            f"the innovations are not white (correlation {max(whiteness.values()):.2f}): something moves the rod that "
+            f"the model leaves out, friction or backlash; an unknown force on the rod changes L_e by "
+            f"{100 * extra:.1f} %, which is taken for a standard deviation"
+        )
+    common = _common(fit, math.nan, False, False)
+    value, deviation = common["effective_length"]
+    relative = math.hypot(deviation / value, extra)
+    reason = None
+    if not fit.converged:
+        reason = "the likelihood has no maximum: the angle does not follow the base; check signs, units and stamps"
+    elif relative > LARGEST_SPREAD:
+        reason = (
+            f"the effective length is known to {100 * relative:.0f} % only, not to {100 * LARGEST_SPREAD:.0f} %: "
+            "record longer, move more, or find what else moves the rod"
+        )
+    elif not known.lengths[0] < 2.0 * fit.theta[R] < known.lengths[1]:
+        reason = (
+            f"the best length, {2.0 * fit.theta[R]:.3g} m, lies outside the interval from {known.lengths[0]:g} to "
+            f"{known.lengths[1]:g} m: widen it, or check the sign of the angle"
+        )
+    if reason is not None:
+        return PoseEstimate(
+            noise=common["noise"], whiteness=whiteness, assumed=assumed, notes=tuple(notes), reason=reason
+        )
+    common["effective_length"] = Value(value, relative * value)
+    common["uniform_length"] = Value(common["uniform_length"].value, relative * common["uniform_length"].value)
+    length, deviation = _value(fit, lambda t: 2.0 * t[R])
+    deviation = math.hypot(deviation, extra * length)
+    half = 1.959964 * deviation
+    return PoseEstimate(length, deviation, (length - half, length + half), **common, whiteness=whiteness,
+                        assumed=assumed, notes=tuple(notes))  # fmt: skip
 
 
 LEAST_QUANTA = 4.0
@@ -934,7 +1002,7 @@ def _frames(vehicle: Body, rod: Body, distance: float) -> str | None:
         place = np.column_stack([np.interp(rod.time, vehicle.time, column) for column in vehicle.position.T])
         along = np.median(rod.position - place, axis=0) / distance
         if along[2] < -0.7 and distance > SHORTEST_ARM:
-            return "the rod is below the vehicle: the two bodies are swapped, or z points down; swap them or turn the frame"
+            return "the rod is below the vehicle: the bodies are swapped, or z points down; swap them or turn the frame"
         if abs(along[2]) < 0.7 and distance > SHORTEST_ARM:
             axis = "xy"[int(np.argmax(np.abs(along[:2])))]
             return f"the rod stands along {axis}, not along z: turn the world's frame so that z points up"
@@ -962,7 +1030,12 @@ def _answer(rows: Rows, knowledge: Knowledge, distance: float, flies: bool, note
     else:
         best, reading = fit(knowledge.inertia_factor or ANY_INERTIA, knowledge.marker_offset or MIDDLE), "middle"
         factor, deviation = _value(best, inertia_factor_of)
-        if not told[1] and abs(factor - UNIFORM.value) > 3.0 * math.hypot(deviation, UNIFORM.tolerance):
+        contradicted = np.max(np.abs(_conflicts(best)[2:6])) > LARGEST_CONFLICT
+        if (
+            not told[1]
+            and not contradicted
+            and abs(factor - UNIFORM.value) > LARGEST_DOUBT * math.hypot(deviation, UNIFORM.tolerance)
+        ):
             uniform = fit(UNIFORM, ANY_OFFSET)
             gain = uniform.value - best.value
             if gain > LEAST_EVIDENCE:
@@ -973,6 +1046,9 @@ def _answer(rows: Rows, knowledge: Knowledge, distance: float, flies: bool, note
                          "tracked at its middle has it; its reaction on the vehicle tells which")  # fmt: skip
     return _checked(best, reading, rows, knowledge, distance, flies, notes)
 
+
+LARGEST_DOUBT = 2.6
+"""Standard deviations between the two readings of the length from which on they disagree; 1 % by chance."""
 
 LEAST_EVIDENCE = 4.5
 """Difference in log posterior from which one of two readings is believed: 3 standard deviations."""
@@ -1017,6 +1093,7 @@ def _fit(
     start: NDArray,
     inertia: Told,
     offset: Told,
+    force: bool = False,
 ) -> Fit:
     tracked, seen = (bool(np.any(rows.kind == kind)) for kind in (ROD, DIRECTION))
     theta = start.copy()
@@ -1029,6 +1106,9 @@ def _fit(
     free += [OFFSET, NR] if tracked else []
     free += [H, HC, MU, NT] if flies else []
     free += [ND] if seen else []
+    if force:
+        free.append(NF)
+        theta[NF] = math.log(0.1)
     free = np.array(sorted(free))
     k = knowledge
     position, attitude = (math.log(value) for value in k.noise)
@@ -1132,8 +1212,14 @@ def _checked(
         reason = "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
     elif jump > LARGEST_JUMP:
         reason = (
-            f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations {jump:.1f} "
-            "times as large as expected): it was pushed or mistracked; leave that stretch out"
+            f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
+            f"{jump:.1f} times as large as expected): it was pushed or mistracked; leave that stretch out"
+        )
+    elif abs(conflicts[worst]) > LARGEST_CONFLICT:
+        means, tolerances = fit.prior.means[worst], fit.prior.tolerances[worst]
+        reason = (
+            f"the flight contradicts the {TOLD[worst]} {means:.3f} +- {tolerances:.3f} by {abs(conflicts[worst]):.0f} "
+            "standard deviations: measure it again, or state a wider tolerance"
         )
     elif common["noise"][loud] > LARGEST_NOISE * knowledge.noise[noise[loud]]:
         reason = (
@@ -1145,12 +1231,6 @@ def _checked(
         reason = (
             f"the innovations of the {name} are not white (correlation {whiteness[name]:.2f}): the model does not "
             "explain the motion; check the frames, the stamps and whether the rod stands freely in its seat"
-        )
-    elif abs(conflicts[worst]) > LARGEST_CONFLICT:
-        means, tolerances = fit.prior.means[worst], fit.prior.tolerances[worst]
-        reason = (
-            f"the flight contradicts the {TOLD[worst]} {means:.3f} +- {tolerances:.3f} by {abs(conflicts[worst]):.0f} "
-            "standard deviations: measure it again, or state a wider tolerance"
         )
     elif not least < length < most:
         reason = f"the best length, {length:.2f} m, lies outside the interval from {least:g} to {most:g} m: widen it"
