@@ -13,17 +13,19 @@ specific thrust, w = u' its rate and e_x = u / g, the derivatives of u are integ
     nu' = u,   u' = w                                beta' = ((q . U) / L_e - |q'|^2) q - u / L_e
 
 u is close to a random walk. Not quite: controller and rate loop colour its rate, w'' + 2 zeta omega w' + omega^2 w =
-omega^2 (n + T n'), n white noise of density q_n, and all four of these numbers are estimated too. Taken for a random
-walk behind a first-order lag, intervals came out a quarter too narrow (of the seat's height above all).
+omega^2 (n + T n'), n white noise of density q_n, and all four of these numbers are estimated too.
+
 What is of second order, q . U and |q'|^2, comes from smoothed poses. The measured rows, each at its own stamp, are
 
     vehicle  s - (h / g) u                  tilt       (g + z'') e_x / e_z = u + c_tilt
     rod      s + rho q + c_rod              direction  q + c_direction
 
-h is the height of the seat above the tracked point of the vehicle, rho the distance from the seat to the tracked point
-of the rod; both, and h_c and r, are kept apart. The constants c are states. Nothing pairs the rows: order of arrival,
-unequal rates, jitter and losses need no treatment of their own. A cart, an arm or any prescribed base is the same
-system with mu = h = h_c = 0 and without the row of the tilt.
+The vehicle's position is of a point b below the middle of its markers, so it holds -b times the error of the tilt;
+the row that is used is the one without it, vehicle + (b / g) tilt. h is the height of the seat above the tracked
+point of the vehicle, rho the distance from the seat to the tracked point of the rod; both, and h_c and r, are kept
+apart. The constants c are states. Nothing pairs the rows: order of arrival, unequal rates, jitter and losses need no
+treatment of their own. A cart, an arm or any prescribed base is the same system with mu = h = h_c = 0 and without the
+row of the tilt.
 
 All parameters are estimated together, by maximum a posteriori with Gaussian priors (``Knowledge``): the recursion runs
 for one point and for its neighbours side by side, so that one pass gives the likelihood, its gradient and the Fisher
@@ -61,11 +63,12 @@ PARAMETERS = (
     "log_rod_noise",
     "log_direction_noise",
     "log_force_density",
+    "origin_lever",
 )
 """Order of the parameters: log L_e, r, rho - r, h, h_c, mu; logarithms of q_n (m^2/s^5), omega (rad/s), zeta, omega T,
-noises (m, rad), and of the density of a white force on the rod (rad^2/s^3 of its angular acceleration)."""
+noises (m, rad), and of the density of a white force on the rod (rad^2/s^3 of its angular acceleration); and b."""
 
-LE, R, OFFSET, H, HC, MU, Q, OMEGA, ZETA, ZERO, NV, NT, NR, ND, NF = range(len(PARAMETERS))
+LE, R, OFFSET, H, HC, MU, Q, OMEGA, ZETA, ZERO, NV, NT, NR, ND, NF, LEVER = range(len(PARAMETERS))
 DYNAMIC, STATES = 7, 10
 LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
@@ -79,7 +82,8 @@ class Rows(NamedTuple):
     """Measured rows sorted by time.
 
     ``time`` (n,) s; ``kind`` (n,); ``value`` (n, axes) m, m/s^2 or 1; ``scale`` (n,) the factor on the kind's noise;
-    ``lift`` (n,) q . U in m/s^2, ``spin`` (n,) |q'|^2 in 1/s^2 and ``pull`` (n,) F / M in m/s^2, all smoothed.
+    ``lift`` (n,) q . U in m/s^2, ``spin`` (n,) |q'|^2 in 1/s^2 and ``pull`` (n,) F / M in m/s^2, all smoothed;
+    ``tilt`` (n, axes) the value of the tilt's row of the same pose, m/s^2, or 0.
     """
 
     time: NDArray
@@ -89,6 +93,7 @@ class Rows(NamedTuple):
     lift: NDArray
     spin: NDArray
     pull: NDArray
+    tilt: NDArray
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -134,9 +139,9 @@ def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, pull, theta, steps, clock, x, p, total, score, fisher, innovation, sized,
+    time, kind, value, scale, lift, spin, pull, tilt, theta, steps, clock, x, p, total, score, fisher, innovation, sized,
 ):  # fmt: skip # pragma: no cover - compiled
-    """Run the filter of every row of ``theta`` (lanes, 15) over all rows, from the state in ``clock``, ``x``, ``p``.
+    """Run the filter of every row of ``theta`` (lanes, 16) over all rows, from the state ``x``, ``p``.
 
     Lane 0 is the point; lane j > 0 differs from it in one parameter by ``steps[j - 1]``. Updated in place: ``clock``
     (1,) s; ``x`` (axes, 10, lanes); ``p`` (10, 10, lanes), lower half; ``total`` (lanes,) log likelihoods; and, if
@@ -147,7 +152,7 @@ def _recursion(
     rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
     k = steps.shape[0]
     length, lever, seat, kick = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    rho, height, h_over_g = np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    rho, height, lean_of, bias_of = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     a0, a1, into_w, into_v = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
     noise = np.empty((4, lanes))
     density, force = np.empty(lanes), np.empty(lanes)
@@ -327,14 +332,19 @@ def _recursion(
             clock[0] = time[row]
         which = kind[row]
         for lane in range(lanes):
-            h_over_g[lane] = height[lane] / pull[row]
+            bias_of[lane] = theta[lane, 15] / pull[row]
+            lean_of[lane] = bias_of[lane] - height[lane] / pull[row]
         first, second = _FIRST[which], _SECOND[which]
         for i in range(STATES):
             a_row, a_column = max(i, first), min(i, first)
             c_row, c_column = max(i, second), min(i, second)
             if which == 0:
                 for lane in range(lanes):
-                    ph[i, lane] = p[i, 0, lane] - h_over_g[lane] * p[c_row, c_column, lane]
+                    ph[i, lane] = (
+                        p[i, 0, lane]
+                        + lean_of[lane] * p[c_row, c_column, lane]
+                        + bias_of[lane] * p[max(i, 8), min(i, 8), lane]
+                    )
             elif which == 2:
                 for lane in range(lanes):
                     ph[i, lane] = p[i, 0, lane] + rho[lane] * p[a_row, a_column, lane] + p[c_row, c_column, lane]
@@ -344,10 +354,11 @@ def _recursion(
         factor = scale[row] * scale[row]
         if which == 0:
             for lane in range(lanes):
-                variance[lane] = ph[0, lane] - h_over_g[lane] * ph[2, lane]
+                variance[lane] = ph[0, lane] + lean_of[lane] * ph[2, lane] + bias_of[lane] * ph[8, lane]
             for axis in range(axes):
                 for lane in range(lanes):
-                    nu[axis, lane] = value[row, axis] - x[axis, 0, lane] + h_over_g[lane] * x[axis, 2, lane]
+                    expected = x[axis, 0, lane] + lean_of[lane] * x[axis, 2, lane] + bias_of[lane] * x[axis, 8, lane]
+                    nu[axis, lane] = value[row, axis] + bias_of[lane] * tilt[row, axis] - expected
         elif which == 2:
             for lane in range(lanes):
                 variance[lane] = ph[0, lane] + rho[lane] * ph[5, lane] + ph[7, lane]
@@ -514,6 +525,9 @@ class Knowledge:
 UNIFORM, MIDDLE = Told(0.75, 0.003), Told(0.0, 1e-3)
 """Assumed where nothing is told: lambda of a uniform rod, or the tracked point at the middle within 1 mm."""
 
+ORIGIN = Told(0.0, 0.05)
+"""How far the vehicle's tracked point lies below the middle of its markers, m."""
+
 ANY_INERTIA, ANY_OFFSET = Told(0.8, 0.15), Told(0.0, 0.4)
 """What the other one of the two is left to be: from tip-heavy rods to point masses, from the foot to the tip."""
 
@@ -560,6 +574,12 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
     else:
         lean = parabolas(rod.time, rod.position - origin, events, 0.05) - place
         lean = lean[:, :, :2] / np.linalg.norm(lean[0], axis=1)[:, None]
+    # no parabola reaches across a gap: what is of second order is interpolated there
+    for body, values in ((rod, lean), (vehicle, lean), (vehicle, thrust[None])):
+        near = _near(body.time, events)
+        for block in values:
+            for column in block.T:
+                column[~near] = np.interp(events[~near], events[near], column[near])
     upright = np.sqrt(np.maximum(1.0 - np.sum(lean[0] ** 2, axis=1), 0.0))
     lift = np.sum(lean[0] * thrust, axis=1) + upright * weight
     spin = np.sum(lean[1] ** 2, axis=1)
@@ -576,8 +596,19 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
     return _sorted_rows(parts, events, lift, spin, pull)
 
 
+def _near(time: NDArray, events: NDArray) -> NDArray:
+    """Which events have a sample within 0.05 s, or two and a half periods, before and after, or lie on one."""
+    gap = max(0.05, 2.5 * float(np.median(np.diff(time))))
+    after = np.searchsorted(time, events)
+    before = np.maximum(np.searchsorted(time, events, side="right") - 1, 0)
+    after = np.minimum(after, len(time) - 1)
+    return (np.abs(time[after] - events) <= gap) & (np.abs(events - time[before]) <= gap)
+
+
 def _sorted_rows(parts: Sequence[tuple], events: NDArray, lift: NDArray, spin: NDArray, pull: NDArray) -> Rows:
     time = np.concatenate([part[1] for part in parts])
+    tilts = [part[2] for part in parts if part[0] == TILT]
+    tilt = np.concatenate([tilts[0] if tilts and part[0] == VEHICLE else np.zeros_like(part[2]) for part in parts])
     kind = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
     value = np.concatenate([part[2] for part in parts])
     scale = np.concatenate([np.ones(len(part[1])) if part[3] is None else part[3] for part in parts])
@@ -591,6 +622,7 @@ def _sorted_rows(parts: Sequence[tuple], events: NDArray, lift: NDArray, spin: N
         lift[at],
         spin[at],
         pull[at],
+        np.ascontiguousarray(tilt[order]),
     )
 
 
@@ -624,7 +656,7 @@ class _Pass:
 def run(
     rows: Rows, theta: NDArray, steps: NDArray | None = None, innovations: bool = False, state: _State | None = None
 ) -> _Pass:
-    """Filter all rows for every row of ``theta`` (lanes, 15); see ``_recursion``."""
+    """Filter all rows for every row of ``theta`` (lanes, 16); see ``_recursion``."""
     wanted, axes, n = len(theta), rows.value.shape[1], len(rows.time)
     # a whole number of vectors: without a remainder the compiler keeps all lanes in step, twice as fast
     lanes = 1 if wanted == 1 else -(-wanted // 16) * 16
@@ -652,21 +684,21 @@ FORCE_FREE = 1e-12
 
 
 class Prior(NamedTuple):
-    """Independent Gaussians: ``means`` and ``tolerances`` (14,) of what ``quantities`` returns."""
+    """Independent Gaussians: ``means`` and ``tolerances`` (15,) of what ``quantities`` returns."""
 
     means: NDArray
     tolerances: NDArray
 
     @staticmethod
     def quantities(theta: NDArray) -> NDArray:
-        """What the priors are about, (..., 15) -> (..., 14)."""
+        """What the priors are about, (..., 16) -> (..., 15)."""
         t = np.moveaxis(theta, -1, 0)
         distance = t[R] + t[OFFSET] + t[H]
         told = [inertia_factor_of(t), t[OFFSET], t[H], t[H] - t[HC], t[MU], distance]
-        return np.stack([*told, *t[Q : ND + 1]], axis=-1)
+        return np.stack([*told, *t[Q : ND + 1], t[LEVER]], axis=-1)
 
     def deviations(self, theta: NDArray) -> NDArray:
-        """Of theta (..., 15) from the priors, over their tolerances (..., 14)."""
+        """Of theta (..., 16) from the priors, over their tolerances (..., 15)."""
         return (self.quantities(theta) - self.means) / self.tolerances
 
 
@@ -676,7 +708,7 @@ TOLD = ("inertia factor", "tracked point of the rod", "seat height", "height of 
 
 
 def inertia_factor_of(theta: NDArray) -> NDArray:
-    """lambda = r / (L_e + mu r) of the parameters theta (15, ...)."""
+    """lambda = r / (L_e + mu r) of the parameters theta (16, ...)."""
     return theta[R] / (np.exp(theta[LE]) + theta[MU] * theta[R])
 
 
@@ -696,11 +728,11 @@ class Fit:
 
 
 STEP = 1e-5
-_LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 1.5])
+_LARGEST = np.array([0.3, 0.2, 0.1, 0.05, 0.05, 0.01, 1.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 1.5, 0.1])
 
 
 def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance: float = 0.1) -> Fit:
-    """Fisher scoring from theta (15,) over the ``free`` parameters, with shorter steps where full ones go too far."""
+    """Fisher scoring from theta (16,) over the ``free`` parameters, with shorter steps where full ones go too far."""
     k = len(free)
     steps = np.full(k, STEP)
 
@@ -1104,7 +1136,7 @@ def _fit(
     theta[R] = max(theta[R], 0.02)
     free = [LE, R, Q, OMEGA, ZETA, ZERO, NV]
     free += [OFFSET, NR] if tracked else []
-    free += [H, HC, MU, NT] if flies else []
+    free += [H, HC, MU, NT, LEVER] if flies else []
     free += [ND] if seen else []
     if force:
         free.append(NF)
@@ -1120,8 +1152,18 @@ def _fit(
     frequency, damping, zero = _shape(k)
     priors += [Told(start[Q], 3.0), Told(frequency, 1.0), Told(damping, 0.7), Told(zero, 1.0)]
     priors += [Told(position, 1.0), Told(attitude, 1.0)] * 2
+    priors += [ORIGIN]
     means, tolerances = np.array(priors).T
-    return maximise(rows, theta, free, Prior(means, np.maximum(tolerances, 1e-6)))
+    prior = Prior(means, np.maximum(tolerances, 1e-6))
+    first = int(np.searchsorted(rows.time, rows.time[0] + LEAD))
+    if first < len(rows.time) // 2:
+        # a long flight: its first part brings the search close, two passes over all of it finish
+        theta = maximise(Rows(*(column[:first] for column in rows)), theta, free, prior).theta
+    return maximise(rows, theta, free, prior)
+
+
+LEAD = 20.0
+"""Length in s of the first part of a long flight, on which the search starts."""
 
 
 def _shape(knowledge: Knowledge) -> tuple[float, float, float]:
@@ -1161,7 +1203,7 @@ def _common(fit: Fit, distance: float, flies: bool, tracked: bool) -> dict:
 
 
 def _conflicts(fit: Fit) -> NDArray:
-    """Deviation of the posterior from each prior, over what it should be if the prior were right (14,).
+    """Deviation of the posterior from each prior, over what it should be if the prior were right (15,).
 
     With prior variance V0 and posterior variance V, the posterior mean deviates from the prior's by V0 - V.
     """
@@ -1296,3 +1338,78 @@ def _assumptions(
     else:
         sentences.append("the base moves as it is driven, whatever the rod does")
     return tuple(sentences)
+
+
+class Stream:
+    """The estimate of a flight that goes on: poses are added as they arrive, at a constant cost each.
+
+    The filter of a first window's maximum and of its neighbours runs on, and so do the score and the Fisher
+    information; one Newton step from that maximum then gives the maximum for all poses so far. The checks that
+    ``estimate`` makes are not repeated here.
+
+    Args:
+        vehicle, rod: the first window, 2.5 s or more; see ``estimate``.
+        knowledge: priors. The rod is taken to be tracked at its middle unless ``marker_offset`` says otherwise.
+
+    Raises:
+        ValueError: the first window does not give an estimate; the message says why.
+    """
+
+    def __init__(self, vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> None:
+        knowledge = knowledge or Knowledge()
+        first = estimate(vehicle, rod, knowledge)
+        if first.reason is not None:
+            raise ValueError(first.reason)
+        flies = vehicle.axis is not None
+        self._bodies = [_cleaned(vehicle), _cleaned(rod)]
+        self._origin = self._bodies[0].position[0]
+        rows = rows_of(*self._bodies, self._origin)
+        start = _start(rows, knowledge, first.distance.value, flies)
+        inertia = knowledge.inertia_factor or (ANY_INERTIA if rod.position is not None else UNIFORM)
+        offset = knowledge.marker_offset or (MIDDLE if rod.position is not None else ANY_OFFSET)
+        self._fit = _fit(rows, knowledge, first.distance.value, flies, start, inertia, offset)
+        k = len(self._fit.free)
+        self._lanes = np.tile(self._fit.theta, (k + 1, 1))
+        self._lanes[1 + np.arange(k), self._fit.free] += STEP
+        deviations = self._fit.prior.deviations(self._lanes)
+        slopes = (deviations[1:] - deviations[0]) / STEP
+        self._score = -slopes @ deviations[0]
+        self._information = slopes @ slopes.T
+        self._state = _State.at(rows.time[0], -(-(k + 1) // 16) * 16, 2)
+        self._done = -math.inf
+        self.push(Body(np.zeros(0)), Body(np.zeros(0)))
+
+    def push(self, vehicle: Body, rod: Body) -> None:
+        """Add poses, later than all before. They count once 0.15 s more have come, which smoothing needs."""
+        for which, body in enumerate((vehicle, rod)):
+            if len(body.time):
+                columns = zip(self._bodies[which], body, strict=True)
+                self._bodies[which] = Body(*(None if a is None else np.concatenate([a, b]) for a, b in columns))
+        until = min(body.time[-1] for body in self._bodies) - SMOOTHED
+        rows = rows_of(*self._bodies, self._origin)
+        fresh = (rows.time > self._done) & (rows.time <= until)
+        if np.any(fresh):
+            out = run(Rows(*(column[fresh] for column in rows)), self._lanes, np.full(len(self._fit.free), STEP),
+                      state=self._state)  # fmt: skip
+            self._score += out.score
+            self._information += out.fisher
+            self._done = until
+        # what smoothing needs of the past
+        kept = [body.time > self._done - 2.0 * SMOOTHED for body in self._bodies]
+        self._bodies = [
+            Body(*(None if column is None else column[keep] for column in body))
+            for body, keep in zip(self._bodies, kept, strict=True)
+        ]
+
+    @property
+    def length(self) -> Value:
+        """The length in m for all poses so far, and its standard deviation."""
+        scale = 1.0 / np.sqrt(np.diag(self._information))
+        covariance = np.linalg.inv(self._information * np.outer(scale, scale)) * np.outer(scale, scale)
+        step = covariance @ self._score
+        at = int(np.flatnonzero(self._fit.free == R)[0])
+        return Value(2.0 * float(self._fit.theta[R] + step[at]), 2.0 * math.sqrt(covariance[at, at]))
+
+
+SMOOTHED = 0.15
+"""Half of the longest span of smoothing, s."""
