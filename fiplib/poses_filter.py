@@ -139,9 +139,10 @@ def _moved(f, lane, s, n, u, w, v, q, b):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, pull, tilt, theta, steps, clock, x, p, total, score, fisher, innovation, sized,
+    time, kind, value, scale, lift, spin, pull, tilt, theta, steps, clock, x, p, total, score, fisher, innovation,
+    sized,
 ):  # fmt: skip # pragma: no cover - compiled
-    """Run the filter of every row of ``theta`` (lanes, 16) over all rows, from the state ``x``, ``p``.
+    """Run the filter of every row of ``theta`` (lanes, 16) over all rows, from the state in ``x`` and ``p``.
 
     Lane 0 is the point; lane j > 0 differs from it in one parameter by ``steps[j - 1]``. Updated in place: ``clock``
     (1,) s; ``x`` (axes, 10, lanes); ``p`` (10, 10, lanes), lower half; ``total`` (lanes,) log likelihoods; and, if
@@ -1062,13 +1063,10 @@ def _answer(rows: Rows, knowledge: Knowledge, distance: float, flies: bool, note
     else:
         best, reading = fit(knowledge.inertia_factor or ANY_INERTIA, knowledge.marker_offset or MIDDLE), "middle"
         factor, deviation = _value(best, inertia_factor_of)
-        contradicted = np.max(np.abs(_conflicts(best)[2:6])) > LARGEST_CONFLICT
-        if (
-            not told[1]
-            and not contradicted
-            and abs(factor - UNIFORM.value) > LARGEST_DOUBT * math.hypot(deviation, UNIFORM.tolerance)
-        ):
+        if not told[1] and abs(factor - UNIFORM.value) > LARGEST_DOUBT * math.hypot(deviation, UNIFORM.tolerance):
             uniform = fit(UNIFORM, ANY_OFFSET)
+            if min(np.max(np.abs(_conflicts(one)[2:6])) for one in (best, uniform)) > LARGEST_CONFLICT:
+                return _checked(best, reading, rows, knowledge, distance, flies, notes)
             gain = uniform.value - best.value
             if gain > LEAST_EVIDENCE:
                 best, reading = uniform, "uniform"
@@ -1256,6 +1254,14 @@ def _checked(
         reason = (
             f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
             f"{jump:.1f} times as large as expected): it was pushed or mistracked; leave that stretch out"
+        )
+    elif (
+        abs(conflicts[worst]) > LARGEST_CONFLICT
+        and (knowledge.inertia_factor, knowledge.marker_offset, 1)[min(worst, 2)] is None
+    ):
+        reason = (
+            f"the rod's tracked point is not at its middle, or the rod is not uniform: the flight contradicts both by "
+            f"{abs(conflicts[worst]):.0f} standard deviations; say which by the inertia factor or the marker's offset"
         )
     elif abs(conflicts[worst]) > LARGEST_CONFLICT:
         means, tolerances = fit.prior.means[worst], fit.prior.tolerances[worst]
