@@ -833,8 +833,11 @@ KINDS = ("vehicle", "tilt", "rod", "direction")
 LEAST_ROWS = 64
 """Fewest poses of each body: a quarter of a second at 240 Hz, and never enough to be sure of anything."""
 
-LARGEST_SPREAD = 0.1
-"""Refused above this relative standard deviation: the likelihood is then no parabola over its own width."""
+LARGEST_SPREAD = 0.05
+"""Refused above this relative standard deviation: the priors alone, with no motion at all, end at 10 % for 1 m."""
+
+LARGEST_PLANAR_SPREAD = 0.1
+"""The same for carts and arms, which know the base exactly: what friction leaves in doubt is then most of it."""
 
 LARGEST_CONFLICT = 4.0
 """Refused above this many standard deviations between a told value and the flight: one in 16 000 by chance."""
@@ -981,9 +984,9 @@ def planar(
     reason = None
     if not fit.converged:
         reason = "the likelihood has no maximum: the angle does not follow the base; check signs, units and stamps"
-    elif relative > LARGEST_SPREAD:
+    elif relative > LARGEST_PLANAR_SPREAD:
         reason = (
-            f"the effective length is known to {100 * relative:.0f} % only, not to {100 * LARGEST_SPREAD:.0f} %: "
+            f"L_e is known to {100 * relative:.0f} % only, not to {100 * LARGEST_PLANAR_SPREAD:.0f} %: "
             "record longer, move more, or find what else moves the rod"
         )
     elif not known.lengths[0] < 2.0 * fit.theta[R] < known.lengths[1]:
