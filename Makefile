@@ -10,60 +10,13 @@ export OPENBLAS_CORETYPE := Haswell
 export OPENBLAS_NUM_THREADS := 1
 export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
 
-# The bags that each figure and table reads; the same list as `python -m fiplib.figures --list` (a test compares them).
-reads_fig1-flight := circle-0.8
-reads_fig2-vehicle :=
-reads_fig3-pushes := push-hover
-reads_fig4-circle := circle-0.8
-reads_fig5-estimation := estimate-1.4
-reads_fig6-convergence := estimate-0.8 estimate-1.2 estimate-1.4
-reads_fig7-survival :=
-reads_fig8-landscapes :=
-reads_fig9-estimators :=
-reads_fig10-intervals := estimate-1.4
-reads_table1-parameters :=
-reads_table2-software :=
-reads_table3-convergence := estimate-0.8 estimate-1.2 estimate-1.4
-reads_table4-estimators :=
-reads_fig11-handover :=
-reads_fig12-bound :=
-reads_fig13-deadlines :=
-reads_table5-seeds :=
-reads_table6-readings :=
-reads_table7-weights :=
-reads_table8-handover :=
-reads_table9-landscapes :=
-reads_table10-rates :=
-reads_table11-imperfections :=
-
-# The tables of studies (`make sweep`) that some of them read, from data/sweeps/.
-studies_fig7-survival := survival
-studies_fig8-landscapes := landscape_curves
-studies_fig9-estimators := estimators
-studies_table4-estimators := estimators
-studies_fig11-handover := handover
-studies_fig12-bound := bounds
-studies_table5-seeds := ledger_seeds
-studies_table6-readings := ledger_seeds ledger_readings
-studies_table7-weights := weights
-studies_table8-handover := handover
-studies_table9-landscapes := landscapes
-studies_table11-imperfections := imperfections
-studies_claims := ledger_seeds length_jumps estimators weights handover bounds imperfections
-
-FIGURES := fig1-flight fig2-vehicle fig3-pushes fig4-circle fig5-estimation fig6-convergence fig7-survival fig8-landscapes fig9-estimators fig10-intervals fig11-handover fig12-bound fig13-deadlines
-TABLES := table1-parameters table2-software table3-convergence table4-estimators table5-seeds table6-readings table7-weights table8-handover table9-landscapes table10-rates table11-imperfections
-SCENARIOS := push-hover circle-0.8 estimate-0.8 estimate-1.2 estimate-1.4 length-jump
-
-bag_files = $(foreach name,$(1),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
-table_files = $(foreach name,$(1),data/sweeps/$(name).csv)
-FIGURE_FILES := $(foreach name,$(FIGURES),figures/$(name).pdf figures/$(name).png)
-TABLE_FILES := $(foreach name,$(TABLES),figures/$(name).csv figures/$(name).tex)
-CLAIMS := figures/claims.csv figures/claims.txt paper/generated/numbers.tex paper/generated/claims-table.tex
-FLIGHTS := $(SCENARIOS:%=fly-%)
-
-# Whatever is computed is computed anew when the code or the pinned packages change.
-CODE := $(wildcard fiplib/*.py) requirements.lock
+# What is made, from what: written by fiplib/products.py, read here for the targets that need it.
+ifneq ($(filter figures paper bags fly-% figures/% paper/% .make/%,$(MAKECMDGOALS)),)
+include .make/products.mk
+endif
+FIGURE_FILES := $(foreach name,$(PRODUCTS),$(files_$(name)))
+CLAIM_FILES := figures/claims.csv figures/claims.txt paper/generated/numbers.tex paper/generated/claims-table.tex
+FLIGHTS := $(BAGS:%=fly-%)
 
 # What `make sweep` runs, and how: make sweep STUDIES='survival --limit 10'. One worker process per core; with
 # DASK_SCHEDULER_ADDRESS=tcp://host:8786 in the environment, or on make's command line, the workers of that scheduler.
@@ -82,7 +35,7 @@ help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-9s  %s\n", $$1, $$2 }' Makefile
 
-figures: $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) ## make every figure and table of the paper, and print the claims ledger
+figures: $(FIGURE_FILES) $(CLAIM_FILES) ## make every figure and table of the paper, and print the claims ledger
 	@cat figures/claims.txt
 
 test: .venv/installed ## run the tests, and the notebooks with small settings, on every core
@@ -99,10 +52,10 @@ book: .venv/installed ## make the book: notebooks with their results, and the li
 	@$(PY) docs/book.py
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
-	cd data && $(SHA256) $(foreach name,$(sort $(SCENARIOS)),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
+	cd data && $(SHA256) $(foreach name,$(BAGS),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
 
 sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
-	$(PY) -m fiplib.sweep $(STUDIES)
+	$(PY) -m fiplib sweep $(STUDIES)
 
 bench: .venv/installed ## time the controller, the estimator and a sweep
 	@set -e; for script in benchmarks/*.py; do echo "$$script"; $(PY) "$$script"; done
@@ -124,7 +77,7 @@ lint: .venv/installed ## check style, format and stripped notebooks
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
 
 clean: ## remove what was made; data/ and .venv stay
-	rm -rf figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
+	rm -rf .make figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
@@ -141,30 +94,35 @@ clean: ## remove what was made; data/ and .venv stay
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# --- figures, tables, claims. A pattern rule with several targets is how make before 4.3 says that one command writes
-# them all; the stem of the claims' rule has no meaning. Its place above the tables' rule matters to make 3.81.
-figures/clai%s.csv figures/clai%s.txt paper/generated/nu%bers.tex paper/generated/clai%s-table.tex: $(CODE) | .venv/installed
-	@mkdir -p figures paper/generated
-	$(PY) -m fiplib.ledger
+# --- figures, tables, claims. One process draws all that is out of date: a product whose files are missing or which has a
+# source newer than the stamp. A stamp has the time at which its drawing began, so that an edit meanwhile counts.
+missing = $(filter-out $(wildcard $(1)),$(1))
+stale = $(foreach name,$(PRODUCTS),$(if $(filter $(sources_$(name)),$?)$(call missing,$(files_$(name))),$(name)))
 
-figures/fig%.pdf figures/fig%.png: $(CODE) | .venv/installed
-	@mkdir -p figures
-	$(PY) -m fiplib.figures fig$*
+.make/products.mk: .venv/installed
+	@mkdir -p .make
+	@$(PY) -m fiplib figures --make > $@.new
+	@mv $@.new $@
 
-figures/table%.csv figures/table%.tex: $(CODE) | .venv/installed
-	@mkdir -p figures
-	$(PY) -m fiplib.figures table$*
+.make/figures: $(sort $(foreach name,$(PRODUCTS),$(sources_$(name)))) $(if $(call missing,$(FIGURE_FILES)),absent) | .venv/installed
+	@touch $@.begun
+	$(PY) -m fiplib figures $(strip $(stale))
+	@mv $@.begun $@
 
-figures/table10-rates.csv figures/table10-rates.tex: benchmarks/sweep_rates.csv
-figures/fig13-deadlines.pdf figures/fig13-deadlines.png: benchmarks/deadlines.csv
-$(CLAIMS): $(call bag_files,$(SCENARIOS)) benchmarks/solve_times.csv benchmarks/deadlines.csv $(call table_files,$(studies_claims))
-$(foreach name,$(FIGURES),$(eval figures/$(name).pdf figures/$(name).png: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
-$(foreach name,$(TABLES),$(eval figures/$(name).csv figures/$(name).tex: $(call bag_files,$(reads_$(name))) $(call table_files,$(studies_$(name)))))
+.make/claims: $(sources_claims) $(if $(call missing,$(CLAIM_FILES)),absent) | .venv/installed
+	@touch $@.begun
+	$(PY) -m fiplib figures claims
+	@mv $@.begun $@
+
+.PHONY: absent
+absent:
+$(FIGURE_FILES): .make/figures ;
+$(CLAIM_FILES): .make/claims ;
 
 # --- bags. They are data: nothing records one but `make bags`, or a `fly-` target by name.
 .PHONY: $(FLIGHTS)
 $(FLIGHTS): fly-%: .venv/installed
-	$(PY) scripts/fly.py --scenario $* --output data/$* --force
+	$(PY) -m fiplib fly --scenario $* --output data/$* --force
 
 data/sweeps/%.csv:
 	@echo "$@ is missing. It comes with the repository; make sweep STUDIES=$* computes it again." >&2; exit 1
@@ -176,7 +134,7 @@ SHA256 = $(shell command -v sha256sum || echo shasum -a 256)
 
 # --- paper. A fixed date makes the PDF depend on its sources alone. latexmk decides by content, make by time: the touch
 # reconciles them.
-paper/build/main.pdf: $(wildcard paper/*.tex paper/sections/*.tex paper/*.bib) $(FIGURE_FILES) $(TABLE_FILES) $(CLAIMS) | latex
+paper/build/main.pdf: $(wildcard paper/*.tex paper/sections/*.tex paper/*.bib) $(FIGURE_FILES) $(CLAIM_FILES) | latex
 	cd paper && SOURCE_DATE_EPOCH=1767225600 FORCE_SOURCE_DATE=1 \
 	    latexmk -pdf -interaction=nonstopmode -halt-on-error -outdir=build main.tex
 	@touch $@

@@ -1,7 +1,7 @@
 """Whether 120 Hz are kept: ``python benchmarks/bench_deadlines.py [--minutes 10] [--save]``.
 
-Flies the simulated vehicle in real time through ``scripts/fly.py --real-time`` as it is (failsafe, command sender,
-recorder, view, the GA beside it), notes every tick, and says for each one missed whether our own code was the cause or
+Flies the simulated vehicle in real time as ``fip fly --real-time`` does (failsafe, command sender, recorder, view, the
+GA beside it), notes every tick, and says for each one missed whether our own code was the cause or
 the machine. A process on each core that wakes at the same rate and does nothing shows how late the machine itself is.
 
 A tick is due when its frame of motion capture is to be delivered, and missed if its command has not left one tick
@@ -27,26 +27,28 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
-from unittest import mock
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-import fly
-from links.sim import SimLink
-
-from fiplib.failsafe import Setpoint
-from fiplib.params import NANO
-from fiplib.pilot import Pilot
-from fiplib.sender import START_TIME, ignore_the_terminal
+from fiplib.flight import command
+from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits
+from fiplib.flight.links.simulated import SimulatedLink
+from fiplib.flight.loop import FlightLoop
+from fiplib.flight.sender import START_TIME, ignore_the_terminal
+from fiplib.flight.session import Session
+from fiplib.flight.setpoint import Setpoint
+from fiplib.mpc import Solution
+from fiplib.params import NANO, FipError
+from fiplib.pilot import Pilot, Tick
+from fiplib.recording import Measurement
 from fiplib.simulate import SCENARIOS, Scenario
-from fiplib.windows import Measurement
 
 SAVED = Path(__file__).parent / "deadlines.csv"
 """What the figure fig13-deadlines reads. Committed, since times differ from run to run and figures should not."""
@@ -197,23 +199,15 @@ def named(kind: str, counts: NDArray) -> dict[str, float]:
 
 
 class Counters:
-    """Processor time and waiting time of our threads and processes, in ns since they began."""
+    """Processor time and waiting time of our threads and processes, in ns since they began.
 
-    def __init__(self) -> None:
-        self._clocks: dict[str, int] = {}
-        self._waits: dict[str, int] = {}
-        self._view = -1
+    Args:
+        pids: of the flight's processes, by name; the thread that flies is the one that asks here.
+    """
 
-    def find(self) -> None:
-        """Look for the processes of the flight that is about to begin."""
-        self.close()
-        pids = {process.name.removeprefix("fip-"): process.pid for process in multiprocessing.active_children()}
-        for child in children(os.getpid()):
-            with suppress(OSError):
-                if b"fiplib.live" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    pids["recorder"] = child
+    def __init__(self, pids: Mapping[str, int]) -> None:
         # the clock of a process, as clock_getcpuclockid of the C library makes it
-        self._clocks = {name: (~pid << 3) | 2 for name, pid in pids.items() if pid}
+        self._clocks = {name: (~pid << 3) | 2 for name, pid in pids.items()}
         self._waits = {
             "pilot": os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY),
             "vehicle": os.open(f"/proc/{pids['vehicle']}/schedstat", os.O_RDONLY),
@@ -240,7 +234,6 @@ class Counters:
         for descriptor in (*self._waits.values(), self._view):
             if descriptor >= 0:
                 os.close(descriptor)
-        self._waits, self._view = {}, -1
 
 
 def schedstat(descriptor: int) -> tuple[int, int]:
@@ -252,97 +245,99 @@ def schedstat(descriptor: int) -> tuple[int, int]:
     return int(ran), int(waited)
 
 
-def children(pid: int) -> Iterator[int]:
-    """The processes that a process has started."""
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError, ValueError):
-            if int(path.read_text().rpartition(")")[2].split()[1]) == pid:
-                yield int(path.parent.name)
-
-
 def resident() -> int:
     """Memory of this process, bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-class WatchedLink(SimLink):
-    """``--link sim`` in real time that notes every tick; the flight does not know."""
+class TimedPilot(Pilot):
+    """The pilot that notes in ``took`` how long its last solve took, ns."""
 
-    flights: ClassVar[list[NDArray]] = []
-    """The ticks of each flight so far, ``TICK``."""
-    grown = 0
-    """By how many bytes the process that flies grew in the last flight."""
+    took = 0
 
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(scenario)
+    def solve(self, tick: Tick) -> Solution:
+        began = time.monotonic_ns()
+        try:
+            return super().solve(tick)
+        finally:
+            self.took = time.monotonic_ns() - began
+
+
+class WatchedLink(SimulatedLink):
+    """``--link sim`` in real time that notes every tick of a flight with its ``pilot``.
+
+    Attributes:
+        grown: by how many bytes the process that flies has grown in the flight.
+    """
+
+    def __init__(self, scenario: Scenario, limits: Limits) -> None:
+        super().__init__(scenario, limits)
+        self.pilot = TimedPilot(scenario.params, scenario.reference)
+        self.grown = 0
         rate = scenario.params.piloting.control_rate
         self._ticks = np.zeros(round(1.1 * rate * (scenario.duration + 30.0)), TICK)
         self._ticks["due"] = -1  # the memory is really there, and not fetched in flight
         self._count = 0
         self._latency = round(scenario.params.simulation.mocap_latency * NANO)
-        self._counters = Counters()
+        self._counters: Counters | None = None
         self._arrived = self._due = self._sent = self._taken = self._thread = 0
-        self.solve = self.collecting = self._collection = 0
+        self._collecting = self._collection = 0
+
+    @property
+    def ticks(self) -> NDArray:
+        """The ticks so far, ``TICK``."""
+        return self._ticks[: self._count]
+
+    def observe(self, loop: FlightLoop, session: Session) -> None:
+        """After each step of the flight; the first says which processes it has."""
+        if self._counters is None:
+            self._counters = Counters(session.pids)
 
     def __enter__(self) -> Self:
         super().__enter__()
-        self._counters.find()
-        self._solver = Pilot.solve
-        Pilot.solve = self._timed(Pilot.solve)  # type: ignore[method-assign]
         gc.callbacks.append(self._collected)
         self._resident = resident()
         return self
 
     def __exit__(self, *raised: object) -> None:
-        WatchedLink.grown = resident() - self._resident
+        self.grown = resident() - self._resident
         gc.callbacks.remove(self._collected)
-        Pilot.solve = self._solver  # type: ignore[method-assign]
         super().__exit__(*raised)  # type: ignore[arg-type]
-        self._counters.close()
-        WatchedLink.flights.append(self._ticks[: self._count].copy())
-
-    def _timed(self, solver):
-        def solve(pilot, tick):
-            began = time.monotonic_ns()
-            try:
-                return solver(pilot, tick)
-            finally:
-                self.solve = time.monotonic_ns() - began
-
-        return solve
+        if self._counters is not None:
+            self._counters.close()
 
     def _collected(self, phase: str, info: dict) -> None:
         if phase == "start":
             self._collection = time.monotonic_ns()
         else:
-            self.collecting += time.monotonic_ns() - self._collection
+            self._collecting += time.monotonic_ns() - self._collection
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
         came = super().receive(timeout)
         if came is not None:
             self._sent = self._when_sent()
-            self._arrived, self._taken = came[0], came[0] - self._offset
-            self._due, self._thread = came[1].stamp - self._offset + self._latency, time.thread_time_ns()
+            self._arrived, self._taken = came[0], came[0] - self.offset
+            self._due, self._thread = came[1].stamp - self.offset + self._latency, time.thread_time_ns()
         return came
 
     def _when_sent(self) -> int:
         """When the last frame was sent, on the monotonic clock; 0 where the kernel does not say."""
         try:
-            seconds, nanoseconds = struct.unpack("qq", fcntl.ioctl(self._frames, SIOCGSTAMPNS, bytes(16)))
+            seconds, nanoseconds = struct.unpack("qq", fcntl.ioctl(self.frames, SIOCGSTAMPNS, bytes(16)))
         except OSError:
             return 0
         return time.monotonic_ns() - (time.time_ns() - seconds * NANO - nanoseconds)
 
     def send(self, setpoint: Setpoint) -> None:
         super().send(setpoint)
-        command = setpoint.command
-        if command is None or command.stamp != self._arrived or self._count == len(self._ticks):
+        answer, counters = setpoint.command, self._counters
+        if answer is None or answer.stamp != self._arrived or counters is None or self._count == len(self._ticks):
             return  # no new one, or more than ten per cent more of them than there should be
-        out, thread, counters = time.monotonic_ns(), time.thread_time_ns(), self._counters
+        out, thread = time.monotonic_ns(), time.thread_time_ns()
         self._ticks[self._count] = (
             *(self._due, self._sent or self._taken, self._taken, out),
-            *(self.solve, thread - self._thread),
-            *(thread, self.collecting, counters.waiting("pilot")),
+            *(self.pilot.took, thread - self._thread),
+            *(thread, self._collecting, counters.waiting("pilot")),
             *(counters.view(), counters.processor("vehicle"), counters.waiting("vehicle")),
             *(counters.processor(name) for name in ("sender", "recorder", "estimator")),
         )
@@ -477,8 +472,10 @@ class Machine(NamedTuple):
         )
 
 
-def report(flights: Sequence[NDArray], watch: Watch, before: Machine, after: Machine, tick: int) -> dict[str, float]:
-    """The quantities of the table, in order; the distributions last."""
+def report(
+    flights: Sequence[NDArray], watch: Watch, before: Machine, after: Machine, tick: int, grown: int = 0
+) -> dict[str, float]:
+    """The quantities of the table, in order; the distributions last. ``grown``: bytes of memory in the last flight."""
     ticks = np.concatenate(flights)
     lateness, answers = ticks["taken"] - ticks["due"], ticks["out"] - ticks["taken"]
     found = Counter(
@@ -516,7 +513,7 @@ def report(flights: Sequence[NDArray], watch: Watch, before: Machine, after: Mac
         "involuntary_switches": after.switches - before.switches,
         "busy_share": (after.busy - before.busy) / span / cores,
         "busy_share_of_others": max(0.0, after.busy - before.busy - (after.ours - before.ours)) / span / cores,
-        "memory_grown_mb": WatchedLink.grown / 1e6,
+        "memory_grown_mb": grown / 1e6,
     }
     for kind, times in (("lateness", lateness), ("solve", ticks["solve"]), ("answer", answers)):
         values |= named(kind, histogram(times))
@@ -574,29 +571,28 @@ def run(minutes: float) -> tuple[dict[str, float], bool]:
     """Fly for so long; what is to be reported, empty if nothing has flown, and whether the operator ended it."""
     scenario = SCENARIOS["estimate-1.4"]
     rate = scenario.params.piloting.control_rate
-    wanted, interrupted = round(60.0 * minutes * rate), False
-    WatchedLink.flights.clear()
-    before = Machine.now()
-    with (
-        Watch(round(NANO / rate)) as watch,
-        tempfile.TemporaryDirectory() as folder,
-        mock.patch.object(fly, "available", lambda: {"sim": WatchedLink}),  # everything else is as it is
-    ):
-        options = fly.parse(["--scenario", scenario.name, "--real-time"])
+    wanted, interrupted, grown = round(60.0 * minutes * rate), False, 0
+    flights: list[NDArray] = []
+    before, limits = Machine.now(), Limits()
+    with Watch(round(NANO / rate)) as watch, tempfile.TemporaryDirectory() as folder:
         for attempt in range(ATTEMPTS):
-            left = (wanted - sum(map(len, WatchedLink.flights))) / rate
+            left = (wanted - sum(map(len, flights))) / rate
             if interrupted or (attempt and left < 1.0):
                 break
             if attempt:
                 print(f"the flight ended too early: another one, for the {left:.0f} s that are left", file=sys.stderr)
             flown = dataclasses.replace(scenario, duration=left)
+            link = WatchedLink(flown, limits)
+            session = Session(flown, limits, link, Path(folder) / f"flight-{attempt}", real_time=True)
             try:
-                interrupted = fly.fly_safely(flown, Path(folder) / f"flight-{attempt}", options) == 130
-            except (fly.bags.BagError, fly.LinkError, OSError) as error:  # what has flown counts
+                interrupted = command.fly(session, Guard(link.pilot, limits), link.observe) == 130
+            except (FipError, OSError) as error:  # what has flown counts
                 print(f"bench_deadlines.py: {error}", file=sys.stderr)
-    flights = [ticks for ticks in WatchedLink.flights if len(ticks)]
+            flights.append(link.ticks)
+            grown = link.grown
+    flights = [ticks for ticks in flights if len(ticks)]
     after = Machine.now()
-    return (report(flights, watch, before, after, round(NANO / rate)) if flights else {}), interrupted
+    return (report(flights, watch, before, after, round(NANO / rate), grown) if flights else {}), interrupted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -609,7 +605,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 0.0 < options.minutes < math.inf:
         parser.error(f"--minutes {options.minutes:g}: give minutes > 0")
     if not sys.platform.startswith("linux"):
-        parser.error("what the machine does is told by what Linux counts: run it there")
+        parser.error("needs what Linux counts about processes: run it there")
     try:
         values, interrupted = run(options.minutes)
     except (KeyboardInterrupt, WatchError) as error:

@@ -1,8 +1,8 @@
 """How many flights a second a sweep flies: ``python benchmarks/bench_sweep.py``.
 
-Runs a study of hover flights of 10 s, without estimator, through ``fiplib.sweep`` as ``make sweep`` does: Dask, journal
-and all. Counted from the moment the workers have flown one flight each, so without their start of some seconds.
-``--save`` keeps the numbers in ``benchmarks/sweep_rates.csv``.
+Runs a study of hover flights of 10 s, without estimator, through ``fiplib.studies.sweep`` as ``make sweep`` does:
+Dask, journal and all. Counted from the moment the workers have flown one flight each, so without their start of some
+seconds. ``--save`` keeps the numbers in ``benchmarks/sweep_rates.csv``.
 """
 
 import argparse
@@ -13,14 +13,18 @@ import tempfile
 import time
 from pathlib import Path
 
-from fiplib import cluster, studies, sweep
-from fiplib.journal import Journal
+from fiplib import studies
 from fiplib.pilot import Hover
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.simulate import Scenario, fly
+from fiplib.studies import cluster, sweep
+from fiplib.studies.journal import Journal
 
 KEYS = ("seed",)
 DURATION = 10.0
 """Simulated seconds of a flight."""
+
+STUDY = Path(__file__).stem
+"""Address of this file as a study."""
 
 TABLE = Path(__file__).with_name("sweep_rates.csv")
 MANY, CORES = 1_000_000, 100
@@ -28,7 +32,7 @@ MANY, CORES = 1_000_000, 100
 
 def run(case: dict) -> dict[str, float]:
     """One hover flight; makes this file a study."""
-    return fly(Scenario("hover", "", DURATION, Hover(), seed=case["seed"]), Tape())._asdict()
+    return {"survived": fly(Scenario("hover", "", DURATION, Hover(), seed=case["seed"])).survived}
 
 
 def rate(workers: int, flights: int) -> float:
@@ -37,10 +41,10 @@ def rate(workers: int, flights: int) -> float:
     with tempfile.TemporaryDirectory() as folder, cluster.connect(workers=workers) as client:
         client.wait_for_workers(workers)
         # the first flight on each worker pays for its imports
-        client.run(studies.run, Path(__file__).stem, cases[0])
+        client.run(studies.run, STUDY, cases[0])
         journal = Journal(Path(folder) / "bench.csv", KEYS)
         start = time.perf_counter()
-        failed = sweep.sweep("bench", journal, cases, client)
+        failed = sweep.sweep("bench", STUDY, journal, cases, client)
         duration = time.perf_counter() - start
     if failed:
         raise SystemExit(f"{failed} flights failed: no rate to tell")
@@ -49,7 +53,6 @@ def rate(workers: int, flights: int) -> float:
 
 def main(flights: int, save: bool) -> None:
     """Print the table; with ``save`` write it as well."""
-    studies.STUDIES["bench"] = Path(__file__).stem
     rates = {workers: rate(workers, flights) for workers in (1, 2)}
     hours = MANY / (CORES * rates[1]) / 3600
     rows = {

@@ -4,6 +4,7 @@
 """
 
 import argparse
+import ast
 import json
 import re
 import shutil
@@ -16,19 +17,8 @@ from urllib.parse import unquote, urlsplit
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
+LIBRARY = ROOT / "fiplib"
 BUILD = DOCS / "build"
-
-CHAPTERS = {
-    "Numbers and models": ("params", "dynamics", "margins"),
-    "Control": ("mpc", "pilot", "handover", "failsafe"),
-    "Estimation": ("kalman", "ga", "estimators", "likelihood", "windows", "bound"),
-    "Flights": ("simulate", "recorder", "bags", "records", "recover", "replay"),
-    "Real vehicles": ("live", "posecheck", "sender", "estimator_process", "crsf", "firmware", "faults"),
-    "Results": ("claims", "measures", "ledger", "figures", "findings", "tables", "summaries", "style"),
-    "Studies": ("journal", "sweep", "cluster", "studies"),
-    "Notebooks": ("lecture", "graders", "animate", "explorer", "explorer_fit", "explorer_plots"),
-}
-"""The modules' pages in reading order; a module that is not named here comes last."""
 
 LINK = re.compile(r"(\]\()(?!\w+:|#)([^)#\s]+)(#[^)\s]*)?(\))")
 """A relative link in Markdown: its path and its anchor."""
@@ -48,14 +38,11 @@ def assemble(folder: Path) -> None:
         BookError: a page or notebook links to what does not exist.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    pages = [path for path in DOCS.glob("*.md")]
-    for path in [*pages, ROOT / "README.md", *sorted(ROOT.glob("notebooks/*.ipynb"))]:
+    for path in [*DOCS.glob("*.md"), ROOT / "README.md", *sorted(ROOT.glob("notebooks/*.ipynb"))]:
         add(path, folder)
-    names = [module_name(path) for path in sorted(ROOT.glob("fiplib/**/*.py")) if path.parent.name != "fiplib"]
-    names += [module_name(path) for path in sorted(ROOT.glob("fiplib/*.py")) if path.stem != "__init__"]
-    for name in names:
+    for name in (module_name(path) for path in ROOT.glob("fiplib/**/*.py") if path != LIBRARY / "__init__.py"):
         write(folder / "api" / f"{name}.md", f"# {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n")
-    write(folder / "api/index.md", module_index(names))
+    write(folder / "api/index.md", module_index(LIBRARY))
 
 
 def module_name(path: Path) -> str:
@@ -64,7 +51,7 @@ def module_name(path: Path) -> str:
 
 
 def add(path: Path, folder: Path) -> None:
-    """Put a page or notebook into the tree, its links led to pages of the book, and the files that it links to."""
+    """Put a page or notebook into the tree, with links to pages of the book, and the files that it links to."""
     place = folder / path.relative_to(DOCS if path.parent == DOCS else ROOT)
     if place == folder / "README.md":
         place = folder / "repository.md"
@@ -85,7 +72,7 @@ def add(path: Path, folder: Path) -> None:
 
 
 def relinked(text: str, source: Path, folder: Path) -> str:
-    """Markdown with its relative links led to the book: a module's file to its page, anything else to a copy."""
+    """Markdown whose relative links lead to pages of the book: a module's to its page, any other file's to a copy."""
 
     def lead(found: re.Match) -> str:
         target = (source.parent / found[2]).resolve()
@@ -98,7 +85,7 @@ def relinked(text: str, source: Path, folder: Path) -> str:
         if not target.is_file() or ROOT not in target.parents:
             raise BookError(f"{source.relative_to(ROOT)}: links to {found[2]}, which does not exist")
         inside = target.relative_to(ROOT)
-        if inside.parts[0] == "fiplib":
+        if inside.parts[0] == "fiplib" and inside.suffix == ".py":
             page = f"api/{'index' if inside == Path('fiplib/__init__.py') else module_name(target)}.md"
         else:
             page = "repository.md" if inside == Path("README.md") else inside.as_posix().removeprefix("docs/")
@@ -110,16 +97,20 @@ def relinked(text: str, source: Path, folder: Path) -> str:
     return LINK.sub(lead, text)
 
 
-def module_index(names: list[str]) -> str:
-    """The list of modules by chapter."""
-    rest = [name for name in names if not any(name.split(".")[1] in chapter for chapter in CHAPTERS.values())]
-    chapters = {
-        title: [name for part in chapter for name in names if name.split(".")[1] == part]
-        for title, chapter in CHAPTERS.items()
-    }
+def module_index(library: Path) -> str:
+    """The list of modules: a chapter for the modules directly in the library and for each of its packages.
+
+    The first paragraph of a package's docstring introduces its chapter.
+    """
+    packages = [library, *sorted(path.parent for path in library.glob("*/__init__.py"))]
     text = ["# The library\n", "Every public name with its shapes, units and errors, from the docstrings.\n"]
-    for title, chapter in (chapters | ({"Further": rest} if rest else {})).items():
-        text += [f"## {title}\n", "```{toctree}\n:maxdepth: 1\n", *chapter, "```\n"]
+    for package in packages:
+        title = "The core" if package == library else package.name.capitalize()
+        modules = sorted(package.glob("*.py") if package == library else package.glob("**/*.py"))
+        pages = [module_name(path) for path in modules if path != library / "__init__.py"]
+        docstring = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
+        introduction = docstring.partition("\n\n")[0]
+        text += [f"## {title}\n", f"{introduction}\n", "```{toctree}\n:maxdepth: 1\n", *pages, "```\n"]
     return "\n".join(text)
 
 
@@ -145,7 +136,7 @@ def build(source: Path, html: Path, execute: bool = True) -> None:
 # --- check ----------------------------------------------------------------------------------------------------------
 
 FETCHED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "video": "src"}
-"""What a browser loads by itself, and where it says what. A link to click may lead to the network."""
+"""Elements whose target a browser loads by itself, with the attribute that names it; links to click are no such."""
 
 SCRIPT_URL = re.compile(r"(?:import|require|fetch|src|href)\W{1,4}(https?://[^\s\"')]+)")
 """A script in a page that would load from the network: what widgets, plotting and animation libraries write."""

@@ -8,18 +8,15 @@ import dataclasses
 import hashlib
 import os
 import re
-import sys
 from pathlib import Path
 
+import numpy.typing
 from docutils import nodes
 from sphinx import addnodes
 
+import fiplib
+
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))  # the modules beside this book, whatever is installed
-
-import numpy.typing  # noqa: E402
-
-import fiplib  # noqa: E402
 
 # Signatures name these two as the source does; what NumPy makes of them fills a screen.
 for name in ("ArrayLike", "NDArray"):

@@ -10,6 +10,7 @@ Frames: world with z up; body x forward, y left, z up. Quaternions are (x, y, z,
 """
 
 import math
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -179,10 +180,25 @@ def coupled_plant(params: Params) -> ca.Function:
     return ca.Function("plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
 
 
+def _z_axis(x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any]:
+    """Third column of the rotation matrix of the unit quaternion (x, y, z, w), of numbers or of symbols."""
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+
+
 def body_z(q: ca.SX) -> ca.SX:
-    """Third column of the rotation matrix of the quaternion q = (x, y, z, w): the thrust direction R e3."""
-    x, y, z, w = ca.vertsplit(q)
-    return ca.vertcat(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2))
+    """Return the body's z axis in the world, R e3: the thrust direction, of the quaternion q = (x, y, z, w)."""
+    return ca.vertcat(*_z_axis(*ca.vertsplit(q)))
+
+
+def body_z_of(q: ArrayLike) -> NDArray:
+    """Return the body's z axis in the world, (3,), of a unit quaternion (4,) as x, y, z, w: ``body_z`` in numbers."""
+    return np.array(_z_axis(*(float(value) for value in q)))
+
+
+def inclination(direction: ArrayLike) -> float:
+    """Return the angle of a direction (3,) from the vertical, rad."""
+    x, y, z = (float(value) for value in direction)
+    return math.atan2(math.hypot(x, y), z)
 
 
 def quaternion_rate(q: ca.SX, body_rate: ca.SX) -> ca.SX:

@@ -14,9 +14,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import euler_angles
-from fiplib.estimators import ESTIMATORS, Estimator
-from fiplib.handover import HANDOVERS, HandOver
+from fiplib.dynamics import body_z_of, euler_angles
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimator
+from fiplib.estimators.handover import HANDOVERS, HandOver
+from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
 from fiplib.params import (
@@ -37,7 +39,7 @@ from fiplib.params import (
     X,
     Y,
 )
-from fiplib.windows import SAMPLERS, Measurement, RawSchedule, RawWindow
+from fiplib.recording import Measurement
 
 
 class Command(NamedTuple):
@@ -154,8 +156,7 @@ class Observer:
         if self._piloting.pendulum_measurement == "position":
             a, b = float(measurement.pendulum_position[0]) - x, float(measurement.pendulum_position[1]) - y
         else:
-            qx, qy, qz, qw = (float(value) for value in measurement.pendulum_attitude)
-            a, b = length * (qx * qz + qw * qy), length * (qy * qz - qw * qx)
+            a, b = 0.5 * length * body_z_of(measurement.pendulum_attitude)[:2]
         positions = np.array((x, y, a, b, z))
         if self._stamp is not None and measurement.stamp > self._stamp:
             elapsed = (measurement.stamp - self._stamp) / NANO
@@ -225,8 +226,7 @@ class Pilot:
     def observe(self, now: int, measurement: Measurement) -> Tick | None:
         """The first part of ``step``: take one frame; at a control tick, what a controller needs to know."""
         state, altitude = self._observer.update(measurement, self.length)
-        if isinstance(self._sampler, RawSchedule):
-            self._sampler.push_frame(measurement)
+        self._sampler.push_frame(measurement)
         if self._first is None:
             self._first = now
         # half a frame early counts: arrival times jitter about the tick
@@ -259,10 +259,7 @@ class Pilot:
         limit = self.params.vehicle.max_body_rate
         yaw_rate = max(-limit, min(limit, self._yaw.update(-tick.yaw, 0.0, tick.elapsed)))
         body_rate = np.array((rates[0], rates[1], yaw_rate))
-        if isinstance(self._sampler, RawSchedule):
-            self._sampler.push_command(tick.now, body_rate, thrust)
-        else:
-            self._sampler.push(tick.state, rates)
+        self._sampler.push_command(tick.now, tick.state, body_rate, thrust)
         return Command(tick.now, body_rate, thrust, tick.state, tick.reference[0], self.length, status)
 
     @property

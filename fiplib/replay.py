@@ -2,25 +2,34 @@
 
 The bag holds all that the pilot was given (poses, their times, the estimates it received), so the commands come out bit
 for bit as they were flown. With other parameters the same functions say what the pilot *would* have commanded, and
-which windows another estimator would have been given.
+which windows another estimator would have been given. Whoever needs windows of a flight has them cut here.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are imported when they are first used
 
-from fiplib.bags import BagError, Event, Flight, Poses, Series
-from fiplib.dynamics import euler_angles
-from fiplib.handover import HANDOVERS
+from fiplib.estimators.base import Estimate
+from fiplib.estimators.handover import HANDOVERS
+from fiplib.estimators.likelihood import maximum_likelihood
+from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATE_NAMES, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
-from fiplib.recorder import ROLES
-from fiplib.simulate import Scenario, Tape
-from fiplib.windows import SAMPLERS, Measurement, RawSampler, RawSchedule, RawWindow, WindowSampler
+from fiplib.recording import ROLES, TOPICS, BagError, Flight, Measurement, Series
+
+STRIDE = 14
+"""Every how many runs of the estimator a spaced window comes: half a window apart, 7 in each of our flights."""
+
+MOST_SAMPLES = 250
+"""Samples in a window between two times at most: beyond, an estimate takes longer than one likes to wait."""
+
+BY_CHANCE = 1e-3
+"""Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
 
 
 class TimedWindow(NamedTuple):
@@ -30,32 +39,26 @@ class TimedWindow(NamedTuple):
     window: Window | RawWindow
 
 
-def flight_of(tape: Tape, scenario: Scenario) -> Flight:
-    """A simulated flight kept in memory, as ``bags.read`` gives it from its bag: what sweeps work on."""
+def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
+    """None if the length can be estimated from this flight, else one sentence that says why not.
 
-    def poses(body: str) -> Poses:
-        values = np.array(tape.values[body])
-        stamps = (np.array(tape.stamps[name], dtype=np.int64) for name in (body, f"{body} received"))
-        return Poses(*stamps, values[:, :3], values[:, 3:])
-
-    def series(role: str) -> Series | None:
-        if role not in tape.values:
-            return None
-        stamp, values = np.array(tape.stamps[role], dtype=np.int64), np.array(tape.values[role])
-        return Series(stamp, values, ROLES[role].names, ROLES[role].units)
-
-    vehicle = poses("vehicle")
-    others = ("state", "command", "reference", "length", "truth_state", "truth_length")
-    return Flight(
-        path=Path(scenario.name),
-        metadata=scenario.metadata(),
-        vehicle=vehicle,
-        pendulum=poses("pendulum"),
-        events=tuple(Event(*event) for event in tape.events),
-        start_ns=int(vehicle.stamp[0]),
-        topics=(),
-        **{role: series(role) for role in others},
-    )
+    ``least`` is the time in s for which poses and commands must overlap: one window of the paper's, if none is given.
+    """
+    if flight.command is None:
+        return (
+            f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
+            "record them, or say under which name they are recorded."
+        )
+    if least is None:
+        least = (flight.params.estimation.window - 1) * flight.params.estimation.sample_period
+    common = min(flight.command.stamp[-1], flight.vehicle.stamp[-1], flight.pendulum.stamp[-1])
+    common = (common - max(flight.command.stamp[0], flight.vehicle.stamp[0], flight.pendulum.stamp[0])) / NANO
+    if common < least:
+        return (
+            f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
+            f"{least:.1f} s: record a longer flight, or take a shorter window."
+        )
+    return None
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
@@ -94,11 +97,7 @@ def states(flight: Flight) -> Series:
 
 
 def reference(flight: Flight) -> Reference:
-    """The reference that the flight followed.
-
-    Raises:
-        BagError: the bag does not name one that is known here.
-    """
+    """The reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
     entry = dict(flight.metadata.get("reference", {}))
     kind = entry.pop("kind", None)
     if kind not in REFERENCES:
@@ -107,18 +106,10 @@ def reference(flight: Flight) -> Reference:
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
-    """What the pilot commands when it is given the poses and the estimates of the bag.
+    """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters than those it was flown with.
-        follow: another reference than the one it followed.
-
-    Returns:
-        Body rates in rad/s and normalised thrust, (n, 4), as in ``flight.command``.
-
-    Raises:
-        BagError: the bag does not say which reference was followed, and none is given.
+    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError: the bag does
+    not say which reference was followed, and none is given.
     """
     pilot = Pilot(params or flight.params, follow or reference(flight))
     length = flight.length
@@ -144,9 +135,8 @@ def at_recorded_rate(params: Params, command: Series) -> Params:
     The parameters' own rate stays where it agrees with the median step of the stamps within 2 %.
     """
     rate = NANO / float(np.median(np.diff(command.stamp))) if len(command.stamp) > 1 else params.piloting.control_rate
-    return (
-        params if abs(rate / params.piloting.control_rate - 1) <= 0.02 else params.replace(piloting__control_rate=rate)
-    )
+    same = abs(rate / params.piloting.control_rate - 1) <= 0.02
+    return params if same else params.replace(piloting__control_rate=rate)
 
 
 def refit(flight: Flight, params: Params | None = None) -> Flight:
@@ -154,12 +144,8 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
     With the parameters of the flight these are the recorded lengths, to the last bit.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters (estimator, window, hand-over) than those it was flown with.
-
-    Raises:
-        BagError: the bag cannot be refitted; the message says why.
+    ``params`` are other parameters (estimator, window, hand-over). Raises BagError: the bag cannot be refitted; the
+    message says why.
     """
     params = params or flight.params
     estimator, found = estimator_of(params), windows(flight, params)
@@ -167,81 +153,156 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     policy, seed = HANDOVERS[params.piloting.handover](params, overlap), flight.metadata.get("seed", 0)
     stamps, rows = [flight.start_ns], [(policy.used, np.nan, np.nan)]
     for run, (stamp, window) in enumerate(found):
-        estimate = estimator.function(window, params, np.random.default_rng([seed, run]))
-        length, deviation = estimate.length, estimate.standard_deviation
+        answer = estimator.function(window, params, np.random.default_rng([seed, run]))
+        length, deviation = answer.length, answer.standard_deviation
         stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
         rows.append((policy.update(length, deviation), length, deviation))
     role = ROLES["length"]
     return replace(flight, length=Series(np.array(stamps), np.array(rows), role.names, role.units))
 
 
-def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
-    """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
+def estimate(flight: Flight, params: Params | None = None) -> Estimate:
+    """The length of the rod from a whole flight, with a standard deviation, or the reason why it cannot be told.
+
+    The recommended estimator (``likelihood.maximum_likelihood``) answers on windows that follow each other without
+    overlap. Their answers are independent; the logarithms of the lengths are averaged by their precision. What several
+    windows scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a
+    reason to refuse.
 
     Args:
         flight: the recorded flight.
-        params: other parameters (window, sampling, schedule) than those it was flown with.
+        params: other parameters (vehicle, rod, noise) than those it was flown with. The rod's length is not read.
 
     Raises:
-        BagError: the bag cannot be refitted; the message says why.
+        BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
     """
     params = params or flight.params
-    raw = estimator_of(params).kind == "raw"
+    seconds = params.estimation.raw_window
+    if reason := why_not_refit(flight, seconds):
+        return Estimate(math.nan, math.nan, reason)
+    found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
+    given = [answer for answer in found if answer.reason is None]
+    if not given:
+        why = f"; the last: {found[-1].reason}" if found else ", as motion capture or commands have gaps"
+        return Estimate(math.nan, math.nan, f"none of {len(found)} windows of {seconds:g} s gives a length{why}")
+    lengths, deviations = np.array([(answer.length, answer.standard_deviation) for answer in given]).T
+    precision = (lengths / deviations) ** 2
+    mean = float(np.average(np.log(lengths), weights=precision))
+    scatter, free = float(np.sum(precision * (np.log(lengths) - mean) ** 2)), len(given) - 1
+    if free and scipy.special.chdtrc(free, scatter) < BY_CHANCE:
+        low, high = lengths.min(), lengths.max()
+        reason = f"the windows contradict each other beyond chance: they give lengths from {low:.3f} to {high:.3f} m"
+        return Estimate(math.nan, math.nan, reason)
+    length = math.exp(mean)
+    return Estimate(length, length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum())))
+
+
+def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
+    """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
+
+    ``params`` are other parameters (window, sampling, schedule) than those of the flight. Raises BagError: the bag
+    cannot be refitted; the message says why.
+    """
+    params = params or flight.params
+    kind = estimator_of(params).kind
     # how long a flight must be is another matter with raw windows, which grow
-    if (reason := flight.why_not_refit()) and not (raw and flight.command is not None):
-        raise BagError(f"{flight.path}: {reason}")
-    assert flight.command is not None  # else there was a reason
-    if raw:
-        return _raw_windows_due(flight, flight.command, params)
-    known = states(flight)
-    latest = np.searchsorted(known.stamp, flight.command.stamp, side="right") - 1
-    sampler, found = WindowSampler(at_recorded_rate(params, flight.command)), []
-    for index in np.nonzero(latest >= 0)[0]:
-        sampler.push(known.values[latest[index]], flight.command.values[index, :2])
-        now = int(flight.command.stamp[index])
-        if window := sampler.due(now):
-            found.append(TimedWindow(now, window))
-    return found
+    command = _commands(flight, -math.inf if kind == "raw" else None)
+    return list(_due(flight, SAMPLERS[kind](at_recorded_rate(params, command))))
 
 
-def _raw_windows_due(flight: Flight, command: Series, params: Params) -> list[TimedWindow]:
-    schedule, found, given = RawSchedule(params), [], 0
-    for now, measurement in measurements(flight):
-        schedule.push_frame(measurement)
-        if given < len(command.stamp) and command.stamp[given] == now:
-            schedule.push_command(now, command.values[given, :3], float(command.values[given, 3]))
-            given += 1
-        if window := schedule.due(now):
-            found.append(TimedWindow(now, window))
-    return found
+def spaced_windows(flight: Flight) -> list[Window]:
+    """The estimator's window of every ``STRIDE``-th run. Raises BagError as ``windows``."""
+    return [timed.window for timed in windows(flight)[::STRIDE]]
 
 
-def raw_windows(flight: Flight, seconds: float, every: float) -> list[tuple[int, RawWindow]]:
+def window_between(flight: Flight, start: float, end: float, params: Params) -> tuple[Window, Params]:
+    """The window of states of a stretch of flight, sampled as the pilot does it.
+
+    Args:
+        flight: the recorded flight.
+        start, end: in s since the start of the flight.
+        params: with the sampling period; the number of samples follows from it.
+
+    Returns:
+        The window, and the parameters with its number of samples and the rate at which commands were recorded.
+
+    Raises:
+        BagError: the bag holds no commands.
+        ValueError: fewer than 2 samples, or more than ``MOST_SAMPLES``.
+    """
+    command = _commands(flight, -math.inf)
+    params, at = at_recorded_rate(params, command), flight.time(command)
+    count = int(np.sum((at >= start) & (at <= end) & (command.stamp >= states(flight).stamp[0])))
+    samples = (count - 1) // max(1, round(params.estimation.sample_period * params.piloting.control_rate)) + 1
+    if not 2 <= samples <= MOST_SAMPLES:
+        raise ValueError(
+            f"the window of {end - start:.1f} s holds {max(samples, 0)} samples; a refit takes 2 to {MOST_SAMPLES}: "
+            f"take a {'longer' if samples < 2 else 'shorter'} window or another sampling period"
+        )
+    params = params.replace(estimation__window=samples)
+    return next(_due(flight, WindowSampler(params), start, end)).window, params
+
+
+def raw_windows(
+    flight: Flight, seconds: float, every: float, start: float = -math.inf, end: float = math.inf
+) -> list[TimedWindow]:
     """Windows of raw motion capture of a flight, for the estimators that take them.
 
     Args:
         flight: the recorded flight.
         seconds: span of a window.
         every: s from one window to the next; windows overlap when it is shorter than ``seconds``.
-
-    Returns:
-        The time in ns at which each was complete, and the window.
+        start, end: only what lies between these times is used, s since the start of the flight.
 
     Raises:
         BagError: the bag cannot be refitted; the message says why.
     """
-    if reason := flight.why_not_refit():
-        raise BagError(f"{flight.path}: {reason}")
-    assert flight.command is not None  # else there was a reason
-    stamps, values = flight.command.stamp, flight.command.values
+    command = _commands(flight, seconds)
+    last = np.searchsorted(flight.time(command), end, side="right")
     sampler, found, given = RawSampler(seconds), [], 0
     for now, measurement in measurements(flight):
-        attitude = euler_angles(measurement.vehicle_attitude)
-        sampler.push_frame(measurement.stamp, measurement.vehicle_position, measurement.pendulum_position, attitude)
-        while given < len(stamps) and stamps[given] <= now:
-            sampler.push_command(int(stamps[given]), values[given, :3], float(values[given, 3]))
+        if not start <= (measurement.stamp - flight.start_ns) / NANO <= end:
+            continue
+        sampler.push_frame(measurement)
+        while given < last and command.stamp[given] <= now:
+            sampler.push_command(int(command.stamp[given]), None, command.values[given, :3], command.values[given, 3])
             given += 1
         # half a millisecond of slack, so that a period of whole frames is not missed by rounding
-        if (not found or now - found[-1][0] > every * NANO - 500_000) and (window := sampler.window()):
-            found.append((now, window))
+        if (not found or now - found[-1].stamp > every * NANO - 500_000) and (window := sampler.window()):
+            found.append(TimedWindow(now, window))
     return found
+
+
+def raw_window_between(flight: Flight, start: float, end: float) -> RawWindow:
+    """The window of raw motion capture of a stretch of flight, but for 0.02 s of frames lost at its ends.
+
+    Raises BagError if the bag holds no commands, ValueError if motion capture or commands have a gap there.
+    """
+    if not (found := raw_windows(flight, end - start - 0.02, 0.0, start, end)):
+        raise ValueError(f"needs motion capture all along the window, and commands from {LEAD:g} s before it")
+    return found[-1].window
+
+
+def _due(
+    flight: Flight, sampler: WindowSampler | RawSchedule, start: float = -math.inf, end: float = math.inf
+) -> Iterator[TimedWindow]:
+    """The windows that a sampler has ready at the commands between two times in s, fed as in flight."""
+    command, known = _commands(flight, -math.inf), states(flight)
+    at, latest = flight.time(command), np.searchsorted(known.stamp, command.stamp, side="right") - 1
+    frames = measurements(flight)
+    frame = next(frames, None)
+    for index in np.flatnonzero((at >= start) & (at <= end) & (latest >= 0)):
+        now, values = int(command.stamp[index]), command.values[index]
+        while frame is not None and frame[0] <= now:
+            sampler.push_frame(frame[1])
+            frame = next(frames, None)
+        sampler.push_command(now, known.values[latest[index]], values[:3], float(values[3]))
+        if window := sampler.due(now):
+            yield TimedWindow(now, window)
+
+
+def _commands(flight: Flight, least: float | None) -> Series:
+    """The commands of a flight. Raises BagError with the reason of ``why_not_refit``."""
+    if (reason := why_not_refit(flight, least)) or flight.command is None:
+        raise BagError(f"{flight.path}: {reason}")
+    return flight.command

@@ -17,19 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib import __version__
-from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
+from fiplib.dynamics import PLANT, body_z_of, coupled_plant, euler_angles, rk4
+from fiplib.estimators.base import Estimate
+from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
-from fiplib.likelihood import Estimate
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
-from fiplib.pilot import Circle, Command, Hover, Pilot, Reference, estimator_of
-from fiplib.windows import Measurement, RawWindow
-
-EPOCH = 1_767_225_600 * NANO
-"""Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
+from fiplib.pilot import Circle, Hover, Pilot, Reference, estimator_of
+from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
 
 FALLEN = math.cos(math.radians(60.0))
 """A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
+
+GROUND = 0.05
+"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
+
+NOISE_FRAMES = 240
+"""Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame in real time."""
 
 
 class Push(NamedTuple):
@@ -38,6 +42,11 @@ class Push(NamedTuple):
     start: float
     impulse: tuple[float, float]
     duration: float = 0.05
+
+    def event(self, stamp: int) -> Event:
+        """The event to record when the push begins, at ``stamp`` ns."""
+        data = {"impulse": list(self.impulse), "duration": self.duration}
+        return Event(stamp, "info", f"push of {1e3 * math.hypot(*self.impulse):g} mN s on the rod's COM", "push", data)
 
 
 @dataclass(frozen=True)
@@ -57,9 +66,7 @@ class Scenario:
     seed: int = 1
 
     def metadata(self) -> dict[str, Any]:
-        """What a bag of this flight carries about its origin; not ``safety`` and ``radio``, as ``fly`` uses neither."""
-        params = self.params.to_dict()
-        del params["safety"], params["radio"]
+        """Return what a bag of this flight carries about its origin."""
         return {
             "origin": "simulated",
             "version": __version__,
@@ -69,66 +76,8 @@ class Scenario:
             "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
-            "params": params,
+            "params": self.params.to_dict(),
         }
-
-
-class Recorder(Protocol):
-    """What a flight is written to; times in ns. ``bags.Recorder`` writes a ROS 2 bag, ``Tape`` keeps arrays."""
-
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None: ...
-    def state(self, stamp: int, values: ArrayLike) -> None: ...
-    def reference(self, stamp: int, values: ArrayLike) -> None: ...
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None: ...
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None: ...
-    def event(self, stamp: int, level: str, text: str) -> None: ...
-    def truth(self, stamp: int, values: ArrayLike) -> None: ...
-    def truth_length(self, stamp: int, length: float) -> None: ...
-
-
-class Tape:
-    """A recorder in memory: ``tape["state"]`` is an array of (time in s since the start, values...).
-
-    ``stamps`` and ``values`` hold the same by topic, times in ns; ``replay.flight_of`` makes a ``Flight`` of them.
-    """
-
-    def __init__(self) -> None:
-        self.stamps: dict[str, list[int]] = {}
-        self.values: dict[str, list[tuple[float, ...]]] = {}
-        self.events: list[tuple[int, str, str]] = []
-
-    def _add(self, topic: str, stamp: int, *values: float) -> None:
-        self.stamps.setdefault(topic, []).append(stamp)
-        self.values.setdefault(topic, []).append(values)
-
-    def pose(self, body: str, stamp: int, received: int, position: ArrayLike, orientation: ArrayLike) -> None:
-        self._add(body, stamp, *position, *orientation)
-        self.stamps.setdefault(f"{body} received", []).append(received)
-
-    def state(self, stamp: int, values: ArrayLike) -> None:
-        self._add("state", stamp, *values)
-
-    def reference(self, stamp: int, values: ArrayLike) -> None:
-        self._add("reference", stamp, *values)
-
-    def command(self, stamp: int, rates: ArrayLike, thrust: float) -> None:
-        self._add("command", stamp, *rates, thrust)
-
-    def length(self, stamp: int, used: float, raw: float, std: float) -> None:
-        self._add("length", stamp, used, raw, std)
-
-    def event(self, stamp: int, level: str, text: str) -> None:
-        self.events.append((stamp, level, text))
-
-    def truth(self, stamp: int, values: ArrayLike) -> None:
-        self._add("truth_state", stamp, *values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        self._add("truth_length", stamp, length)
-
-    def __getitem__(self, topic: str) -> NDArray:
-        seconds = (np.array(self.stamps.get(topic, []), dtype=np.int64) - EPOCH) / NANO
-        return np.column_stack([seconds, np.array(self.values.get(topic, []))]) if len(seconds) else np.zeros((0, 0))
 
 
 class Plant:
@@ -183,7 +132,7 @@ class Plant:
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
-        """The ten true states and the height z, in the order of ``recorder.ROLES["truth_state"]``."""
+        """The ten true states and the height z, in the order of ``recording.ROLES["truth_state"]``."""
         x, r = self.x, self._radius
         phi, theta, _ = euler_angles(x[6:10])
         a, b, a_dot, b_dot = r * x[10], r * x[11], r * x[13], r * x[14]
@@ -193,7 +142,7 @@ class Plant:
     def fallen(self) -> bool:
         """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
         x = self.x
-        return bool(x[12] < FALLEN or 1 - 2 * (x[6] ** 2 + x[7] ** 2) < FALLEN or x[2] < 0.1)
+        return bool(x[12] < FALLEN or body_z_of(x[PLANT["attitude"]])[2] < FALLEN or x[2] < 0.1)
 
 
 def _frame(params: Params, substeps: int) -> ca.Function:
@@ -247,102 +196,86 @@ def _turned(q: NDArray, angle: NDArray) -> NDArray:
     return turned / math.sqrt(float(turned @ turned))
 
 
-class Outcome(NamedTuple):
-    """How a simulated flight ended: seconds flown, and whether rod and vehicle were still up."""
+class Rates(Protocol):
+    """What ``Command`` and a setpoint have in common: ``body_rate`` (3,) in rad/s, ``thrust`` normalised to [0, 1]."""
 
-    duration: float
-    survived: bool
+    @property
+    def body_rate(self) -> ArrayLike: ...
+    @property
+    def thrust(self) -> float: ...
 
 
-def fly(
-    scenario: Scenario,
-    recorder: Recorder,
-    progress: Callable[[float], None] | None = None,
-    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
-) -> Outcome:
-    """Fly a scenario in the simulator, through the pilot, into a recorder.
+class SimulatedVehicle:
+    """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
     Args:
-        scenario: the flight.
-        recorder: where it is written to.
-        progress: called with the simulated seconds done, about once per simulated second.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot is not told.
-
-    Returns:
-        How it ended; a fall ends the flight early and is recorded as an event.
+        scenario: start, reference, pushes, parameters and seed of the flight.
+        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
-    params, seed = scenario.params, scenario.seed
-    rate = params.piloting.mocap_rate
-    frames = round(scenario.duration * rate)
-    rng = np.random.default_rng(seed)
-    start = scenario.reference.at(np.zeros(1))[0]
-    lean = rng.normal(size=2) * params.simulation.initial_lean
-    plant = vehicle(params, (start[0], start[2], scenario.reference.height), lean)
-    mocap, pilot = Mocap(params, frames, rng), Pilot(params, scenario.reference)
-    estimator = SimulatedEstimator(params, seed)
-    latency = round(params.simulation.mocap_latency * NANO)
-    told = deque(scenario.told_lengths)
-    pushes = deque(scenario.pushes)
-    status, refused = Status.OPTIMAL, None
 
-    recorder.truth_length(EPOCH, params.pendulum.length)
-    recorder.length(EPOCH, pilot.length, math.nan, math.nan)
-    for index in range(frames):
-        seconds = index / rate
-        stamp = EPOCH + round(index * NANO / rate)
-        now = stamp + latency
-        measurement = mocap.frame(index, stamp, plant.x)
-        recorder.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
-        recorder.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
-        recorder.truth(stamp, plant.truth())
-        command = pilot.step(now, measurement)
-        if command is not None:
-            plant.command(command.body_rate, command.thrust * params.vehicle.max_thrust)
-            _record_command(recorder, command, status)
-            status = command.status
-        if estimate := estimator.deliver(now, pilot.window_due()):
-            if estimate.reason is None:
-                used = pilot.receive_estimate(estimate.length, estimate.standard_deviation)
-                recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            elif estimate.reason != refused:
-                recorder.event(now, "warn", f"no estimate: {estimate.reason}")
-            refused = estimate.reason
-        if told and seconds >= told[0][0]:
-            length = told.popleft()[1]
-            recorder.event(now, "warn", f"pilot is told the length {length:g} m")
-            recorder.length(now, pilot.receive_estimate(length), length, math.nan)
-        force = np.zeros(3)
-        if pushes and seconds >= pushes[0].start:
-            push = pushes[0]
-            if seconds < push.start + 1 / rate:
-                recorder.event(now, "info", f"push of {1e3 * math.hypot(*push.impulse):g} mN s on the rod's COM")
+    def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
+        self._params, self.rate = scenario.params, scenario.params.piloting.mocap_rate
+        self._rng = np.random.default_rng(scenario.seed)
+        start = scenario.reference.at(np.zeros(1))[0]
+        lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
+        self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height), lean)
+        self._pushes = deque(scenario.pushes)
+        self._frames = 0
+        self.flown: int | None = None
+        """Frames since it was first commanded; ``None`` before."""
+
+    def measure(self, stamp: int) -> Measurement:
+        """The frame exposed now, at ``stamp`` ns."""
+        index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
+        if index == 0:
+            self._mocap = Mocap(self._params, NOISE_FRAMES, self._rng)
+        return self._mocap.frame(index, stamp, self.plant.x)
+
+    def command(self, command: Rates, at: int | None = None) -> None:
+        """Take a command, to act after the usual delay or at a substep of the plant."""
+        self.flown = self.flown or 0
+        self.plant.command(command.body_rate, command.thrust * self._params.vehicle.max_thrust, at)
+
+    def advance(self) -> Push | None:
+        """One frame further; the push that begins in it, if one does: record its ``event``."""
+        if self.flown is None or self.plant.x[2] < GROUND:
+            return None
+        seconds, force, begun = self.flown / self.rate, np.zeros(3), None
+        if self._pushes and seconds >= self._pushes[0].start:
+            push = self._pushes[0]
+            if seconds < push.start + 1 / self.rate:
+                begun = push
             force[:2] = np.array(push.impulse) / push.duration
-            if seconds >= push.start + push.duration - 1 / rate:
-                pushes.popleft()
-        plant.advance(force)
-        if plant.fallen:
-            recorder.event(now, "error", "rod or vehicle fell: flight ended")
-            return Outcome(seconds, False)
-        if progress and index % round(rate) == 0:
-            progress(seconds)
-    return Outcome(scenario.duration, True)
+            if seconds >= push.start + push.duration - 1 / self.rate:
+                self._pushes.popleft()
+        self.plant.advance(force)
+        self.flown += 1
+        return begun
 
 
-def _record_command(recorder: Recorder, command: Command, before: Status) -> None:
-    recorder.state(command.stamp, command.state)
-    recorder.reference(command.stamp, command.reference)
-    recorder.command(command.stamp, command.body_rate, command.thrust)
-    if command.status is not before:
-        recorder.event(command.stamp, "info", f"MPC status {command.status.value}")
+class ParallelEstimator(Protocol):
+    """An estimator that runs beside the flight: the simulator's, or one in a process of its own."""
+
+    remarks: deque[tuple[str, str]]
+    """(level, text) of what it has to say about itself; whoever reads them takes them away."""
+    seconds: float
+    """How long its last run took, s; nan where that is not known."""
+
+    def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
+        """Give it a window (if one is due) at ``now`` ns; its newest estimate, once."""
+        ...
 
 
 class SimulatedEstimator:
     """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
 
+    seconds = math.nan
+
     def __init__(self, params: Params, seed: int) -> None:
         self._params, self._seed, self._runs = params, seed, 0
         self._estimate = estimator_of(params).function
         self._ready: tuple[int, Estimate] | None = None
+        self.remarks: deque[tuple[str, str]] = deque()
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         answer = None
@@ -355,6 +288,112 @@ class SimulatedEstimator:
             due = now + round(self._params.simulation.estimation_latency * NANO)
             self._ready = (due, self._estimate(window, self._params, rng))
         return answer
+
+
+class LengthUpdates:
+    """The lengths that a pilot receives in flight: those prescribed by the scenario, and those that are estimated.
+
+    Args:
+        scenario: its ``told_lengths`` are the prescribed ones.
+        estimator: beside the flight, or ``None``.
+        receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
+        recorder: of lengths, refusals and the estimator's remarks.
+        say: takes the remarks, too.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        estimator: ParallelEstimator | None,
+        receive: Callable[[int, float, float], float],
+        recorder: Recorder,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._prescribed, self._estimator = deque(scenario.told_lengths), estimator
+        self._receive, self._recorder, self._say = receive, recorder, say
+        self.latest = Estimate(math.nan, math.nan)
+        """The last estimate that was not refused."""
+        self._refused: str | None = None
+
+    def update(self, now: int, seconds: float, window: Window | RawWindow | None) -> None:
+        """One frame at ``now`` ns, ``seconds`` after the start (nan before it), with a window if a run is due."""
+        if self._estimator is not None:
+            estimate = self._estimator.deliver(now, window)
+            while self._estimator.remarks:  # one at a time: another thread may add to them
+                level, text = self._estimator.remarks.popleft()
+                self._recorder.event(now, level, text)
+                self._say(text)
+            if estimate is not None:
+                self._estimated(now, estimate)
+        if self._prescribed and seconds >= self._prescribed[0][0]:
+            length = self._prescribed.popleft()[1]
+            self._recorder.event(now, "warn", f"pilot is told the length {length:g} m", "length", {"length": length})
+            self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
+
+    def _estimated(self, now: int, estimate: Estimate) -> None:
+        reason = estimate.reason
+        if reason is None:
+            used = self._receive(now, estimate.length, estimate.standard_deviation)
+            self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
+            self.latest = estimate
+        elif reason != self._refused:
+            self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
+        self._refused = reason
+
+
+def fly(
+    scenario: Scenario,
+    recorder: Recorder | None = None,
+    progress: Callable[[float], None] | None = None,
+    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
+) -> Flight:
+    """Fly a scenario in the simulator, through the pilot.
+
+    Args:
+        scenario: the flight.
+        recorder: where it is also written to.
+        progress: called with the simulated seconds done, about once per simulated second.
+        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
+
+    Returns:
+        The flight, as ``bags.read`` gives it from its bag; a fall ends it early and is recorded as an event.
+    """
+    params, rate = scenario.params, scenario.params.piloting.mocap_rate
+    tape = MemoryRecorder(recorder)
+    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
+    estimator = SimulatedEstimator(params, scenario.seed)
+    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+    latency = round(params.simulation.mocap_latency * NANO)
+    status = Status.OPTIMAL
+
+    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.length(EPOCH, pilot.length, math.nan, math.nan)
+    for index in range(round(scenario.duration * rate)):
+        seconds = index / rate
+        stamp = EPOCH + round(index * NANO / rate)
+        now = stamp + latency
+        measurement = simulated.measure(stamp)
+        tape.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
+        tape.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
+        tape.truth(stamp, simulated.plant.truth())
+        command = pilot.step(now, measurement)
+        if command is not None:
+            simulated.command(command)
+            tape.state(now, command.state)
+            tape.reference(now, command.reference)
+            tape.command(now, command.body_rate, command.thrust)
+            if command.status is not status:
+                status = command.status
+                tape.event(now, "info", f"MPC status {status.value}", "status", {"status": status.value})
+        lengths.update(now, seconds, pilot.window_due())
+        if push := simulated.advance():
+            tape.event(*push.event(now))
+        if simulated.plant.fallen:
+            tape.event(now, "error", "rod or vehicle fell: flight ended", "fall")
+            break
+        if progress and index % round(rate) == 0:
+            progress(seconds)
+    return tape.flight(scenario.name, scenario.metadata())
 
 
 def _scenarios() -> dict[str, Scenario]:

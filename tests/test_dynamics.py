@@ -174,3 +174,12 @@ def test_the_consistent_euler_rate_map_belongs_to_the_stated_rotation_and_the_pr
     small = 1e-4 * angles  # both agree to first order: the difference falls with the angle
     difference = full(dynamics.printed_euler_rate_map()(small, body_rate) - dynamics.euler_rate_map()(small, body_rate))
     assert np.abs(difference).max() < 10 * np.abs(small).max()
+
+
+def test_the_bodys_z_axis_in_numbers_is_the_third_column_of_its_rotation_and_leans_by_its_inclination():
+    for seed in range(20):
+        rotation = Rotation.random(rng=np.random.default_rng(seed))
+        axis = dynamics.body_z_of(rotation.as_quat())
+        np.testing.assert_allclose(axis, rotation.as_matrix()[:, 2], atol=1e-15)
+        np.testing.assert_array_equal(axis, full(dynamics.body_z(ca.DM(rotation.as_quat()))))
+        assert np.isclose(np.cos(dynamics.inclination(axis)), axis[2], atol=1e-15)

@@ -10,10 +10,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import NUMERIC_ENVIRONMENT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from ruamel.yaml import YAML
+
+from fiplib import products
+from tests.conftest import NUMERIC_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -47,11 +49,6 @@ def locked_entries() -> list[str]:
 def words(label: str) -> list[str]:
     """The words that follow ``label`` (``VARIABLE :=`` or ``target:``) on its first line of the Makefile."""
     return next(line for line in MAKEFILE.splitlines() if line.startswith(label)).removeprefix(label).split()
-
-
-def figure_names() -> list[str]:
-    """The figures and tables that the Makefile makes."""
-    return words("FIGURES :=") + words("TABLES :=")
 
 
 def repository_files() -> list[Path]:
@@ -119,33 +116,6 @@ def test_the_citation_names_this_package_its_version_and_the_paper():
     assert [author["family-names"] for author in paper["authors"]] == ["Paul", "Torok", "Deghat"]
 
 
-def test_make_and_the_registry_list_the_same_figures_reading_the_same_bags():
-    from fiplib.figures import FIGURES
-
-    listed = {name: set(words(f"reads_{name} :=")) for name in figure_names()}
-    assert listed == {name: set(figure.bags) for name, figure in FIGURES.items()}
-    studies = {name: figure.studies for name, figure in FIGURES.items() if figure.studies}
-    assert {name: tuple(words(f"studies_{name} :=")) for name in studies} == studies
-
-
-def test_make_knows_which_bags_and_studies_the_ledger_is_judged_on():
-    from fiplib.claims import CLAIMS
-    from fiplib.summaries import FACTS
-
-    sources = {source for claim in CLAIMS for source in claim.bags if not source.endswith(".csv")}
-    studies = {source.removeprefix("sweeps/") for source in sources if source.startswith("sweeps/")}
-    assert studies | set(FACTS) == set(words("studies_claims :="))
-    assert {source for source in sources if not source.startswith("sweeps/")} <= set(words("SCENARIOS :="))
-
-
-def test_make_bags_records_known_scenarios_and_every_bag_that_a_figure_reads():
-    from fiplib.simulate import SCENARIOS
-
-    recorded = set(words("SCENARIOS :="))
-    assert recorded <= set(SCENARIOS)
-    assert {bag for name in figure_names() for bag in words(f"reads_{name} :=")} <= recorded
-
-
 def test_make_help_is_the_default_and_lists_every_public_target():
     targets = words(".PHONY:")
     listed = [line.split()[0] for line in make("help").splitlines() if line.startswith("  ")]
@@ -170,10 +140,12 @@ def test_numpy_knows_every_kernel_that_is_switched_off():
     assert not set(run.stdout.split()) & set(NUMERIC_ENVIRONMENT["NPY_DISABLE_CPU_FEATURES"].split())
 
 
-@pytest.mark.parametrize("program", ["fly", "firmware", "faults", None])
+@pytest.mark.parametrize(
+    "program", ["fiplib.flight.command", "fiplib.studies.betaflight", "fiplib.studies.faults.campaign"]
+)
 def test_numpy_has_one_thread_without_make_too(program):
     """Beside busy cores, threads that wait for each other make a small QR decomposition many times slower."""
-    start = f"import sys; sys.path.insert(0, 'scripts'); import {program}" if program else "import fiplib.likelihood"
+    start = f"import {program}"
     tasks = "import os; print(len(os.listdir('/proc/self/task')) if os.path.isdir('/proc/self/task') else 1)"
     work = "import numpy as np; np.linalg.qr(np.ones((2000, 40)))"
     bare = {name: value for name, value in os.environ.items() if name not in NUMERIC_ENVIRONMENT}
@@ -199,9 +171,9 @@ def test_the_readme_shows_both_commands_and_names_only_what_exists():
     assert re.search(r"^make figures\b", readme, re.MULTILINE)
     assert re.search(r"^make test\b", readme, re.MULTILINE)
     commands = set(re.findall(r"(?:^|`)make ([a-z][\w.-]*)", readme, re.MULTILINE))
-    assert commands <= {*words(".PHONY:"), *(f"fly-{name}" for name in words("SCENARIOS :="))}
+    assert commands <= {*words(".PHONY:"), *(f"fly-{name}" for name in products.ledger().bags)}
     # Links and paths in code style lead to files of the repository; what make writes is named by its target instead.
     paths = re.findall(r"\]\(([^)#:]+)\)", readme) + re.findall(r"`((?:fiplib|scripts|data|tests)/[\w./-]*)", readme)
     assert [path for path in paths if not (ROOT / path).exists()] == []
     made = set(re.findall(r"`((?:fig|table)\d+-\w+)`", readme))
-    assert made == set(figure_names())
+    assert made == set(products.PRODUCTS)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_kalman import EQUAL, IDENTITY, UNEQUAL, simulated_window
 
 from fiplib import ga, kalman
 from fiplib.ga import Chromosome, MedianFilter
 from fiplib.params import Estimation, Params
+from tests.test_kalman import EQUAL, IDENTITY, UNEQUAL, simulated_window
 
 # Fixed here, whatever the defaults are tuned to
 PARAMS = Params(estimation=replace(EQUAL, population=60, generations=20, elite_fraction=0.167, mutation_rate=0.1))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fiplib.estimators.windows import LEAD
 from fiplib.params import A_DOT, GRAVITY, NANO, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
 from fiplib.pilot import Circle, Hover, Observer, Pilot
-from fiplib.windows import LEAD, Measurement
+from fiplib.recording import Measurement
 
 PARAMS = Params()
 FRAME = NANO // 240

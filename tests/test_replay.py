@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from fiplib import bags, replay
-from fiplib.bags import BagError, Flight
+from fiplib.estimators.likelihood import maximum_likelihood
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
 from fiplib.pilot import Hover
-from fiplib.simulate import SCENARIOS, Tape, fly
+from fiplib.recording import BagError, Flight
+from fiplib.simulate import SCENARIOS, fly
 
 DATA = Path(__file__).parent.parent / "data"
 BAGS = sorted(path.parent.name for path in DATA.glob("*/metadata.yaml"))
@@ -93,10 +94,74 @@ def test_what_cannot_be_replayed_says_why(estimated):
     assert len(replay.commands(nameless, follow=Hover()).values) == len(estimated.command.values)
 
 
+@pytest.mark.parametrize("name", BAGS)
+def test_the_length_estimated_from_a_whole_flight_lies_within_its_interval(name):
+    found = replay.estimate(bags.read(DATA / name))
+    assert found.reason is None and found.standard_deviation < 0.002  # 7 to 10 windows, 2 to 5 mm each
+    assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
+
+
+def test_windows_that_contradict_each_other_give_no_length(estimated):
+    """A single window accepts any inertia, and any rod; several windows do not agree on a length then."""
+    point_mass = replay.estimate(estimated, estimated.params.replace(pendulum__gyration_ratio=0.0))
+    rod = dataclasses.replace(estimated.pendulum, position=estimated.pendulum.position.copy())
+    half = len(rod.position) // 2
+    rod.position[half:] += 0.05 * (rod.position[half:] - estimated.vehicle.position[half:])
+    for found in (point_mass, replay.estimate(dataclasses.replace(estimated, pendulum=rod))):
+        assert np.isnan(found.length) and np.isnan(found.standard_deviation)
+        assert "contradict each other beyond chance" in found.reason
+
+
+def test_garbage_gives_no_length_but_the_reason_of_the_estimator(estimated):
+    command = dataclasses.replace(estimated.command, values=estimated.command.values[:, [1, 0, 2, 3]])
+    swapped = dataclasses.replace(estimated, command=command)
+    exchanged = dataclasses.replace(estimated, vehicle=estimated.pendulum, pendulum=estimated.vehicle)
+    for garbage in (swapped, exchanged):
+        found = replay.estimate(garbage)
+        assert np.isnan(found.length)
+        assert "none of 9 windows of 2.5 s gives a length" in found.reason
+        assert "the model does not explain the window" in found.reason
+
+
+def test_a_flight_too_short_or_without_commands_gives_no_length_and_says_why(estimated):
+    early = estimated.time(estimated.command) < 2.0
+    command = dataclasses.replace(
+        estimated.command, stamp=estimated.command.stamp[early], values=estimated.command.values[early]
+    )
+    for part, words in ((command, "overlap for 2.0 s only, one estimation window is 2.5 s"), (None, "no commands")):
+        found = replay.estimate(dataclasses.replace(estimated, command=part))
+        assert np.isnan(found.length) and words in found.reason
+
+
+def test_a_single_window_gives_its_own_answer(estimated):
+    inside = estimated.time(estimated.command) < 4.0
+    command = dataclasses.replace(
+        estimated.command, stamp=estimated.command.stamp[inside], values=estimated.command.values[inside]
+    )
+    short = dataclasses.replace(estimated, command=command)
+    windows = replay.raw_windows(short, 2.5, 2.5, end=4.0)
+    assert len(windows) == 1
+    alone = maximum_likelihood(windows[0].window, estimated.params)
+    cut = {
+        name: getattr(estimated.vehicle, name)[estimated.time(estimated.vehicle) < 4.0]
+        for name in ("stamp", "received", "position", "orientation")
+    }
+    found = replay.estimate(dataclasses.replace(short, vehicle=dataclasses.replace(estimated.vehicle, **cut)))
+    assert found.length == pytest.approx(alone.length, rel=1e-12)
+    assert found.standard_deviation == pytest.approx(alone.standard_deviation, rel=1e-12)
+
+
+def test_raw_windows_of_a_stretch_hold_its_frames_alone(estimated):
+    window = replay.raw_window_between(estimated, 6.0, 9.0)
+    assert window.time[-1] == pytest.approx(2.98, abs=1 / 240)
+    end = estimated.time(estimated.vehicle) <= 9.0
+    np.testing.assert_array_equal(window.vehicle[-1], estimated.vehicle.position[end][-1])
+    with pytest.raises(ValueError, match=r"commands from 0\.1 s before"):
+        replay.raw_window_between(estimated, 0.0, 3.0)
+
+
 def test_a_flight_kept_in_memory_is_the_one_in_its_bag():
-    tape = Tape()
-    fly(SCENARIOS["length-jump"], tape)
-    kept, recorded = replay.flight_of(tape, SCENARIOS["length-jump"]), bags.read(DATA / "length-jump")
+    kept, recorded = fly(SCENARIOS["length-jump"]), bags.read(DATA / "length-jump")
     assert kept.metadata == recorded.metadata and kept.events == recorded.events and kept.start_ns == recorded.start_ns
     for role in ("vehicle", "pendulum"):
         for field in ("stamp", "received", "position", "orientation"):

@@ -2,30 +2,55 @@
 
 import dataclasses
 import math
+from collections import deque
 
 import numpy as np
 import pytest
 
 from fiplib.dynamics import PLANT, prediction_model, rk4
-from fiplib.params import AXES, GRAVITY, A, B, Params
-from fiplib.pilot import Circle, Hover
-from fiplib.simulate import EPOCH, SCENARIOS, Mocap, Plant, Push, Scenario, Tape, fly
+from fiplib.estimators.base import Estimate
+from fiplib.mpc import Status
+from fiplib.params import AXES, GRAVITY, A, B, Params, X, Y
+from fiplib.pilot import Circle, Command, Hover
+from fiplib.recording import EPOCH, Event, Flight, MemoryRecorder, Poses, Series
+from fiplib.simulate import SCENARIOS, LengthUpdates, Mocap, Plant, Push, Scenario, SimulatedVehicle, fly
 
 PARAMS = Params()
+FIELDS = {Poses: ("stamp", "received", "position", "orientation"), Series: ("stamp", "values")}
+SERIES = ("state", "command", "reference", "length", "truth_state", "truth_length")
 QUIET = PARAMS.replace(simulation__position_noise=0.0, simulation__attitude_noise=0.0, simulation__initial_lean=0.0)
 
 
-def flown(**changes) -> tuple[Tape, object]:
-    scenario = Scenario("test", "", 4.0, Hover())
-    tape = Tape()
-    return tape, fly(dataclasses.replace(scenario, **changes), tape)
+def flown(**changes) -> Flight:
+    return fly(dataclasses.replace(Scenario("test", "", 4.0, Hover()), **changes))
+
+
+def same(one: Flight, other: Flight) -> bool:
+    """Whether every number of two flights is the same, to the last bit."""
+    roles = ("vehicle", "pendulum", *SERIES)
+    pairs = [(getattr(one, role), getattr(other, role)) for role in roles]
+    arrays = [(getattr(a, name), getattr(b, name)) for a, b in pairs for name in FIELDS[type(a)]]
+    return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in arrays)
 
 
 def test_the_same_seed_gives_the_same_flight_and_another_seed_another():
-    (first, _), (again, _), (other, _) = flown(duration=1.0), flown(duration=1.0), flown(duration=1.0, seed=2)
-    for topic in ("vehicle", "pendulum", "state", "command", "truth_state"):
-        np.testing.assert_array_equal(first[topic], again[topic])
-        assert (first[topic] != other[topic]).any()
+    first, again, other = flown(duration=1.0), flown(duration=1.0), flown(duration=1.0, seed=2)
+    assert same(first, again)
+    for role in ("state", "command", "truth_state"):
+        assert (getattr(first, role).values != getattr(other, role).values).any()
+    assert (first.vehicle.position != other.vehicle.position).all(axis=1).any()
+
+
+def test_the_noise_of_motion_capture_is_one_stream_however_much_is_drawn_at_once():
+    """A frame's noise does not depend on how long the flight is: 1.5 s are 360 frames, more than one chunk."""
+    short, long = flown(duration=1.2), flown(duration=1.5)
+    count = len(short.vehicle.stamp)
+    np.testing.assert_array_equal(long.vehicle.position[:count], short.vehicle.position)
+    rng = np.random.default_rng(1)
+    rng.normal(size=2)  # the lean at the start
+    noise = rng.normal(size=(count, 12))[:, :3] * PARAMS.simulation.position_noise
+    truth = short.truth_state.values[:, [X, Y, 10]]
+    np.testing.assert_array_equal(short.vehicle.position, (truth + noise).astype(np.float32))
 
 
 def test_rod_and_attitude_stay_of_unit_length_over_ten_violent_seconds():
@@ -85,30 +110,79 @@ def test_motion_capture_has_the_stated_noise_in_single_precision():
 def test_on_a_steady_circle_the_rod_leans_inwards_as_the_linear_model_says(gyration_ratio):
     """|a| = R w^2 / (w^2/lambda + 2 g/l), with the R that was really flown."""
     params = QUIET.replace(pendulum__gyration_ratio=gyration_ratio)
-    tape, _ = flown(duration=16.0, reference=Circle(0.4, 8.0), params=params)
-    truth = tape["truth_state"]
-    lap = truth[:, 0] > 8.0
-    radius = np.hypot(truth[lap, 1], truth[lap, 3]).mean()
-    lean = np.hypot(truth[lap, 1 + A], truth[lap, 1 + B]).mean()
+    truth = flown(duration=16.0, reference=Circle(0.4, 8.0), params=params).truth_state.values
+    lap = truth[8 * 240 :]
+    radius = np.hypot(lap[:, X], lap[:, Y]).mean()
+    lean = np.hypot(lap[:, A], lap[:, B]).mean()
     speed = 2 * math.pi / 8.0
     expected = radius * speed**2 / (speed**2 / params.pendulum.inertia_factor + 2 * GRAVITY / params.pendulum.length)
     assert lean == pytest.approx(expected, rel=0.01)  # the remaining drift of the radius over the lap
-    assert (truth[lap, 1] * truth[lap, 1 + A] < 0).mean() > 0.9, "inwards"
+    assert (lap[:, X] * lap[:, A] < 0).mean() > 0.9, "inwards"
 
 
 def test_without_noise_the_rod_stands_still_in_hover():
-    tape, outcome = flown(params=QUIET)
-    assert outcome.survived and outcome.duration == 4.0
-    assert np.abs(tape["truth_state"][:, 1 + A]).max() < 1e-6  # what single precision leaves of zero, times the gains
+    flight = flown(params=QUIET)
+    assert flight.survived and flight.duration == pytest.approx(4.0 - 1 / 240, abs=1e-9)  # to the last frame
+    assert np.abs(flight.truth_state.values[:, A]).max() < 1e-6  # what single precision leaves of zero, times the gains
 
 
 def test_a_hopeless_push_ends_the_flight_and_is_recorded():
-    tape, outcome = flown(pushes=(Push(1.0, (0.05, 0.0)),))
-    assert not outcome.survived and 1.0 < outcome.duration < 4.0
-    levels_and_texts = [event[1:] for event in tape.events]
-    assert ("info", "push of 50 mN s on the rod's COM") in levels_and_texts
-    assert levels_and_texts[-1] == ("error", "rod or vehicle fell: flight ended")
-    assert tape["command"][-1, 0] == pytest.approx(outcome.duration, abs=0.02)
+    tape = MemoryRecorder()
+    push = Push(1.0, (0.05, 0.0))
+    flight = fly(Scenario("test", "", 4.0, Hover(), pushes=(push,)), tape)
+    assert not flight.survived and 1.0 < flight.duration < 4.0
+    pushed, fell = (next(event for event in flight.events if event.kind == kind) for kind in ("push", "fall"))
+    data = {"impulse": [0.05, 0.0], "duration": 0.05}
+    assert pushed[1:] == ("info", "push of 50 mN s on the rod's COM", "push", data)
+    assert flight.time(pushed) == pytest.approx(1.0, abs=1 / 240 + 1e-9)
+    assert flight.events[-1] == fell and fell[1:3] == ("error", "rod or vehicle fell: flight ended")
+    assert flight.time(flight.command)[-1] == pytest.approx(flight.duration, abs=0.02)
+    written = tape.flight("test", flight.metadata)
+    assert same(written, flight) and written.events == flight.events, "the recorder was given all that is returned"
+
+
+def test_the_vehicle_is_held_until_it_is_commanded_and_its_pushes_count_from_then():
+    push = Push(0.1, (0.008, 0.0))
+    vehicle = SimulatedVehicle(Scenario("test", "", 1.0, Hover(), pushes=(push,)))
+    held = vehicle.plant.x.copy()
+    assert [vehicle.advance() for _ in range(50)] == [None] * 50
+    np.testing.assert_array_equal(vehicle.plant.x, held)
+    hover = (PARAMS.vehicle.mass + PARAMS.pendulum.mass) * GRAVITY / PARAMS.vehicle.max_thrust
+    vehicle.command(Command(0, np.zeros(3), hover, np.zeros(10), np.zeros(10), 1.0, Status.OPTIMAL))
+    begun = [vehicle.advance() for _ in range(50)]
+    assert [index for index, one in enumerate(begun) if one] == [24] and begun[24] is push
+    assert push.event(7) == Event(
+        7, "info", "push of 8 mN s on the rod's COM", "push", {"impulse": [0.008, 0.0], "duration": 0.05}
+    )
+
+
+def test_estimates_remarks_and_prescribed_lengths_take_one_way_to_pilot_and_recorder():
+    class Answering:
+        seconds = 0.1
+        answers = (Estimate(0.9, 0.1), None, Estimate(math.nan, math.nan, "no"), Estimate(math.nan, math.nan, "no"))
+
+        def __init__(self):
+            self.remarks, self.left = deque([("warn", "started again")]), deque(self.answers)
+
+        def deliver(self, now, window):
+            return self.left.popleft() if self.left else None
+
+    tape, given, said = MemoryRecorder(), [], []
+
+    def receive(now, length, deviation):
+        given.append((now, length))
+        return length / 2
+
+    scenario = Scenario("test", "", 1.0, Hover(), told_lengths=((2.0, 0.4),))
+    updates = LengthUpdates(scenario, Answering(), receive, tape, said.append)
+    for now, seconds in enumerate((math.nan, 0.0, 1.0, 2.0, 3.0)):
+        updates.update(now, seconds, None)
+    assert given == [(0, 0.9), (3, 0.4)] and said == ["started again"] and updates.latest == Estimate(0.9, 0.1)
+    assert [(event.stamp, event.kind, event.data) for event in tape.events] == [
+        (0, "note", {}),
+        (2, "refusal", {"reason": "no"}),
+        (3, "length", {"length": 0.4}),
+    ]
 
 
 def test_every_recorded_scenario_describes_itself_completely():
@@ -124,16 +198,17 @@ def test_the_noise_levels_of_the_filter_are_those_measured_in_the_simulator():
     The diagonal is given to one digit, and one flight of 25 s tells a variance to about 10 %: within a factor of 2.
     """
     params = PARAMS.replace(pendulum__gyration_ratio=0.0)  # the model's own error, not that of the rod's inertia
-    tape, _ = flown(duration=25.0, reference=Circle(0.4, 8.0), params=params)
-    truth, states, commands = tape["truth_state"], tape["state"], tape["command"]
-    at = np.searchsorted(truth[:, 0], states[:, 0] - params.simulation.mocap_latency - 1e-6)
-    true_states = truth[at, 1:11]
-    measured = (states[:, 1:] - true_states).var(axis=0)
+    flight = flown(duration=25.0, reference=Circle(0.4, 8.0), params=params)
+    states, commands = flight.state.values, flight.command.values
+    exposed = flight.time(flight.state) - params.simulation.mocap_latency
+    at = np.searchsorted(flight.time(flight.truth_state), exposed - 1e-6)
+    true_states = flight.truth_state.values[at, :10]
+    measured = (states - true_states).var(axis=0)
     ticks = round(params.estimation.sample_period * params.piloting.control_rate)
     model = rk4(prediction_model(), params.estimation.sample_period)
     errors = [
         true_states[start + ticks]
-        - np.array(model(true_states[start], commands[start : start + ticks, 1:3].mean(0), 1.0)).ravel()
+        - np.array(model(true_states[start], commands[start : start + ticks, :2].mean(0), 1.0)).ravel()
         for start in range(0, len(states) - ticks, ticks)
     ]
     for chosen, found in (

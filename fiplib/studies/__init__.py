@@ -1,42 +1,49 @@
-"""The Monte Carlo studies, one module each; ``python -m fiplib.sweep NAME`` runs one over all cores, or a cluster.
+"""The Monte Carlo studies, one module each: its cases, its run, and the figure, table and facts made from its rows.
 
-A study module has
+``STUDIES`` lists them; ``fip sweep NAME`` runs one over all cores, or a cluster. A study module has
 
 - ``KEYS: tuple[str, ...]``: the columns that identify a case,
 - ``cases() -> list[dict]``: the full study in a fixed order, plain str, int and float values,
 - ``run(case) -> dict``: the result columns of one case, plain values as well. It is pure: a case carries all that its
   result depends on, its seed included, so that a lost case can be run again, anywhere.
 
-Results land in ``data/sweeps/NAME.csv``, one row per case.
+Results land in ``data/sweeps/NAME.csv``, one row per case. ``facts(rows)`` gives the numbers that the report states
+outside its tables. A second study in a module is a class with these as static methods.
 """
 
-import importlib
-from types import ModuleType
+import pkgutil
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fiplib.recording import Flight
+    from fiplib.simulate import Scenario
 
 STUDIES = {
-    name: f"{__name__}.{name}"
-    for name in (
-        "survival",
-        "length_jumps",
-        "weights",
-        "ledger_seeds",
-        "ledger_readings",
-        "landscapes",
-        "landscape_curves",
-        "bounds",
-        "estimators",
-        "imperfections",
-        "handover",
-    )
+    "survival": "fiplib.studies.survival",
+    "length_jumps": "fiplib.studies.length_jumps",
+    "weights": "fiplib.studies.weights",
+    "ledger_seeds": "fiplib.studies.ledger_seeds",
+    "ledger_readings": "fiplib.studies.ledger_seeds:Readings",
+    "landscapes": "fiplib.studies.landscapes",
+    "landscape_curves": "fiplib.studies.landscapes:Curves",
+    "bounds": "fiplib.studies.bounds",
+    "estimators": "fiplib.studies.estimators",
+    "imperfections": "fiplib.studies.imperfections",
+    "handover": "fiplib.studies.handover",
 }
-"""Module of each study, by name; imported when it is asked for."""
+"""Address of each study by name, see ``load``."""
 
 
-def load(name: str) -> ModuleType:
-    """The module of the study ``name``, a key of ``STUDIES``."""
-    return importlib.import_module(STUDIES[name])
+def load(address: str) -> Any:
+    """Import the study at ``module`` or ``module:Class``."""
+    return pkgutil.resolve_name(address if ":" in address else f"{address}:")
 
 
-def run(module: str, case: dict) -> dict:
-    """One case of the study in ``module``: what a worker executes, known to it by this name alone."""
-    return importlib.import_module(module).run(case)
+def run(address: str, case: dict) -> dict:
+    """Run one case of the study at an address: all that a worker knows of it."""
+    return load(address).run(case)
+
+
+def seconds_flown(flight: "Flight", scenario: "Scenario") -> float:
+    """Seconds until the fall, or the whole duration of the scenario."""
+    return scenario.duration if flight.survived else flight.duration

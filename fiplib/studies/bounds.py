@@ -23,13 +23,16 @@ import math
 from functools import cache
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from fiplib import replay
-from fiplib.bags import Flight
-from fiplib.bound import cramer_rao, motion
-from fiplib.likelihood import CALIBRATION
+from fiplib.estimators.cramer_rao import cramer_rao, motion
+from fiplib.estimators.likelihood import CALIBRATION
 from fiplib.params import NANO, Params
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
+from fiplib.reproduction.tables import Facts
+from fiplib.simulate import Scenario, fly
 from fiplib.studies.landscapes import EXCITATIONS, RODS
 
 KEYS = ("excitation", "rod", "noise", "knowledge")
@@ -83,7 +86,62 @@ def flown(excitation: str, rod: str) -> Flight:
     params = Params().replace(pendulum__gyration_ratio=RODS[rod])
     seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
     scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    tape = Tape()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}")
-    return replay.flight_of(tape, scenario)
+    return flight
+
+
+def fig12_bound(rows: Rows) -> Figure:
+    """Fig. 12: the Cramer-Rao bound of the length over the window: by excitation, and by what is measured and known."""
+    figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
+    # curves fill the panels: their names have a row of their own
+    panels, names = figure.subplots(2, 2, sharex="row", sharey="row", height_ratios=(2.6, 1.0))
+    cells = {tuple(row[key] for key in ("excitation", "rod", "noise", "knowledge")): row for row in rows}
+    windows = [float(name.removeprefix("bound_")) for name in rows[0] if name.startswith("bound_")]
+    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+    curves = (
+        (0, {}, "0.4 m, 8 s", BLUE, "-"),
+        (0, {"excitation": "circle 0.4 m / 5 s"}, "0.4 m, 5 s", GREEN, "--"),
+        (0, {"excitation": "circle 0.8 m / 9 s"}, "0.8 m, 9 s", PURPLE, "-."),
+        (0, {"excitation": "hover"}, "hover", ORANGE, ":"),
+        (1, {}, "as on the left", BLUE, "-"),
+        (1, {"noise": "positions x 5"}, r"positions $\times 5$", ORANGE, ":"),
+        (1, {"noise": "attitude x 5"}, r"attitude $\times 5$", PURPLE, "-."),
+        (1, {"knowledge": "inertia and lag unknown"}, "inertia, lag unknown", GREEN, "--"),
+        (1, {"knowledge": "calibration unknown"}, "calibration unknown", "black", (0, (6, 1.5))),
+    )
+    for panel, changes, label, colour, dashes in curves:
+        row = cells[tuple((usual | changes).values())]
+        bounds = [1e3 * row[f"bound_{seconds:g}"] for seconds in windows]
+        panels[panel].loglog(windows, bounds, ls=dashes, color=colour, label=label)
+    for axes, below in zip(panels, names, strict=True):
+        axes.axhline(10.0, color=GREY, lw=0.6)
+        axes.set(xlabel="window (s)", xticks=(0.25, 1, 2.5, 10), xticklabels=("0.25", "1", "2.5", "10"))
+        axes.minorticks_off()
+        below.axis("off")
+        below.legend(*axes.get_legend_handles_labels(), loc="upper center", handlelength=2.4, borderaxespad=0.0)
+    panels[0].set(ylabel="bound on the length (mm)", ylim=(0.2, 3000))
+    panels[0].set_title("excitation")
+    panels[1].set_title("noise, knowledge")
+    origin(figure, "simulated flights, uniform rod of 1 m; grey: 1 cm")
+    return figure
+
+
+def facts(rows: Rows) -> Facts:
+    """Return the bounds in windows of 2.5 s, mm, that the report states."""
+    found: Facts = {}
+    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+    for name, changes in {
+        "usual": {},
+        "hover": {"excitation": "hover"},
+        "fast": {"excitation": "circle 0.4 m / 5 s"},
+        "positions": {"noise": "positions x 5"},
+        "attitude": {"noise": "attitude x 5"},
+        "calibration": {"knowledge": "calibration unknown"},
+        "unknown": {"knowledge": "inertia and lag unknown"},
+        "height": {"knowledge": "height measured"},
+    }.items():
+        [row] = [row for row in rows if (usual | changes).items() <= row.items()]
+        found[name,] = f"{1e3 * row['bound_2.5']:.2g}"
+    return found

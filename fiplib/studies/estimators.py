@@ -14,18 +14,25 @@ derived states, or 2.5 s of raw motion capture. Per estimator ``NAME`` the row h
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fiplib import replay
-from fiplib.bags import Flight
-from fiplib.bound import cramer_rao, motion
-from fiplib.estimators import ESTIMATORS, Estimate
-from fiplib.likelihood import CALIBRATION, NUISANCES
+from fiplib.estimators import ESTIMATORS
+from fiplib.estimators.base import Estimate
+from fiplib.estimators.cramer_rao import cramer_rao, motion
+from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight
+from fiplib.reproduction import measures
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
+from fiplib.reproduction.tables import NONE, Facts, Table, number
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 
@@ -56,8 +63,8 @@ def cases() -> list[dict]:
 
 def run(case: dict) -> dict[str, float | int | str]:
     """Fly the case, ask every estimator, hold the answers against the bound."""
-    flight, survived = _flown(case)
-    row: dict[str, float | int | str] = {"survived": int(survived)}
+    flight = _flown(case)
+    row: dict[str, float | int | str] = {"survived": int(flight.survived)}
     params = flight.params
     for kind, (seconds, kept) in windows_of(flight).items():
         bounds: dict[tuple[str, ...], float] = {}
@@ -114,7 +121,7 @@ def summarise(answers: list[Estimate], truth: float) -> dict[str, float | int]:
     }
 
 
-def _flown(case: dict) -> tuple[Flight, bool]:
+def _flown(case: dict) -> Flight:
     seed = int(case["seed"])
     params = Params().replace(
         pendulum__gyration_ratio=float(case["gyration_ratio"]), piloting__initial_length=(0.9, 1.0, 1.1)[seed % 3]
@@ -122,12 +129,130 @@ def _flown(case: dict) -> tuple[Flight, bool]:
     kind = case["excitation"]
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
-    scenario = Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)
-    tape = Tape()
-    outcome = fly(scenario, tape)
-    return replay.flight_of(tape, scenario), outcome.survived
+    return fly(Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed))
 
 
 def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, ...]) -> float:
     bounds = [cramer_rao(motion(flight, end - round(seconds * NANO), end), flight.params, unknown)[-1] for end in ends]
     return float(np.sqrt(np.mean(np.square(bounds)))) if bounds else math.nan
+
+
+LABELS = {
+    "maximum_likelihood": "maximum likelihood, raw",
+    "maximum_likelihood_free": "the same, inertia, lag unknown",
+    "maximum_likelihood_calibrated": "the same, calibration exact",
+    "ga": "GA, printed settings",
+    "ga_improved": "GA, more exploration",
+    "grid": "exhaustive search",
+    "scalar": "scalar search (SciPy)",
+    "ekf": "EKF, joint state",
+    "ukf": "UKF, joint state",
+    "moving_horizon": "moving horizon",
+    "recursive_least_squares": "recursive least squares",
+    "concurrent_learning": "concurrent learning",
+}
+"""Estimators as figures and tables name them."""
+
+
+class Pooled(NamedTuple):
+    """An estimator over many windows: how many were answered, mean and RMS error and RMS bound in m (nan where none was
+    computed), and the share of 95 % intervals that cover the truth (nan where none is stated)."""
+
+    windows: int
+    bias: float
+    rms: float
+    bound: float
+    covered: float
+
+
+def pooled(rows: Rows, name: str) -> Pooled:
+    """An estimator's rows of the study 'estimators' or 'imperfections', each weighted by its number of windows."""
+    answered = [row for row in rows if row[f"n_{name}"] > 0]
+    if not answered:
+        return Pooled(0, math.nan, math.nan, math.nan, math.nan)
+    columns = ("n", "bias", "rms", "bound", "covered")
+    n, bias, rms, bound, covered = np.array(
+        [[row.get(f"{column}_{name}", math.nan) for column in columns] for row in answered]
+    ).T
+    total = n.sum()
+    squares = (float(np.sqrt(n @ values**2 / total)) for values in (rms, bound))
+    return Pooled(int(total), float(n @ bias / total), *squares, float(covered.sum() / total))
+
+
+def fig9_estimators(rows: Rows) -> Figure:
+    """Fig. 9: RMS error of every estimator over the Cramer-Rao bound of raw motion capture, on the 0.4 m circle."""
+    figure = Figure(figsize=(COLUMN, 3.0), layout="constrained")
+    axes = figure.subplots()
+    names = list(LABELS)
+    for ratio, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
+        chosen = [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == ratio]
+        found = [pooled(chosen, name) for name in names]
+        axes.plot([one.rms / one.bound for one in found], range(len(names)), marker, color=colour, ms=4, label=label)
+    axes.axvline(1.0, color="black", lw=0.6)
+    axes.axvline(1.2, color="black", lw=0.6, ls="--", label="target, 1.2")
+    axes.set(yticks=range(len(names)), yticklabels=[LABELS[name] for name in names])
+    axes.set(xscale="log", xlabel="RMSE / bound (1)")
+    axes.invert_yaxis()
+    axes.margins(x=0.08)
+    axes.legend(loc="upper right")
+    origin(figure, "simulated flights, 0.4 m circle")
+    return figure
+
+
+def fig10_intervals(flight: Flight) -> Figure:
+    """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
+    figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
+    axes = figure.subplots()
+    times, lengths, deviations = _estimates(flight)
+    recorded = flight.length.values[1:, 1]
+    axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
+    axes.errorbar(
+        times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="maximum likelihood, 95 %"
+    )
+    axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
+    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.9, 1.1))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")
+    return figure
+
+
+def _estimates(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
+    """Times (s), maximum-likelihood lengths and standard deviations (m), a window each half second of a flight."""
+    found = []
+    for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
+        estimate = maximum_likelihood(window, flight.params)
+        if estimate.reason is None:
+            found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
+    return tuple(np.array(found).T)
+
+
+def table4_estimators(rows: Rows) -> Table:
+    """Table 4: every estimator on the 0.4 m circle with a uniform rod, pooled over the windows of all flights."""
+    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
+    lines = []
+    for name, label in LABELS.items():
+        found = pooled(chosen, name)
+        covered = NONE if math.isnan(found.covered) else f"{100 * found.covered:.1f}"
+        lines.append((
+            label, f"{found.windows}", number(1e3 * found.bias, 2), f"{1e3 * found.rms:.2f}",
+            f"{found.rms / found.bound:.2f}", covered,
+        ))  # fmt: skip
+    header = ("Estimator", "Windows", "Bias (mm)", "RMSE (mm)", "RMSE / bound", r"In 95\,\% interval (\%)")
+    return Table(header, lines, "lrrrrr")
+
+
+def facts(rows: Rows) -> Facts:
+    """Return what the report states of five estimators on the paper's excitation."""
+    found: Facts = {}
+    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
+    for name in ("maximum_likelihood", "maximum_likelihood_calibrated", "maximum_likelihood_free", "ga", "grid"):
+        one = pooled(chosen, name)
+        found |= {
+            (name, "windows"): f"{one.windows}",
+            (name, "bias"): f"{1e3 * one.bias:.2f}",
+            (name, "rms"): f"{1e3 * one.rms:.2f}",
+            (name, "ratio"): f"{one.rms / one.bound:.2f}",
+        }
+        if not math.isnan(one.covered):
+            found[name, "covered"] = f"{100 * one.covered:.1f}"
+    return found

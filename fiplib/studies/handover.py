@@ -14,12 +14,18 @@ true one or more: 51 before the GA's first window is full, the others within 2 s
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, origin
+from fiplib.reproduction.tables import NONE, Facts, Table
+from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("policy", "index")
 """In this order: the gains that the genetic algorithm keeps between windows are those of one fitness."""
@@ -80,18 +86,18 @@ def run(case: dict) -> dict[str, float | int | str]:
         piloting__initial_length=true if told else case["initial_length"],
         **POLICIES[case["policy"]],
     )
-    tape = Tape()
-    outcome = fly(Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"]), tape)
-    times, used = tape["length"][:, 0], tape["length"][:, 1]
+    scenario = Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"])
+    flight = fly(scenario)
+    times, used = flight.time(flight.length), flight.length.column("used")
     return {
         "initial_length": case["initial_length"],
         "true_length": true,
-        "survived": int(outcome.survived),
-        "seconds": outcome.duration,
+        "survived": int(flight.survived),
+        "seconds": seconds_flown(flight, scenario),
         "settled": settled(times, used / true),
         "used_length": float(used[-1]),
         "longest_used": float((used / true).max()),
-        "largest_lean": float(np.abs(tape["truth_state"][:, [1 + A, 1 + B]]).max()),
+        "largest_lean": float(np.abs(flight.truth_state.values[:, [A, B]]).max()),
     }
 
 
@@ -101,3 +107,94 @@ def settled(times: np.ndarray, ratios: np.ndarray) -> float:
     if not outside.size:
         return float(times[0])
     return float(times[outside[-1] + 1]) if outside[-1] + 1 < len(times) else math.nan
+
+
+LABELS = {
+    "told": "told the true length",
+    "trusted": "trusted hand-over, maximum likelihood",
+    "printed": "as printed, GA with the likelihood",
+    "literal": "as printed, GA with the printed fitness",
+}
+"""Ways to the used length, as figures and tables name them."""
+
+
+def fig11_handover(rows: Rows) -> Figure:
+    """Fig. 11: random rods and first lengths: who stays up, as printed and with the trusted hand-over."""
+    figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
+    for axes, policy, title in zip(panels, ("printed", "trusted"), ("as printed", "trusted"), strict=True):
+        flown = [row for row in rows if row["policy"] == policy]
+        up = [row for row in flown if row["survived"] == 1]
+        fell = [row for row in flown if row["survived"] != 1 and row["index"] in told]
+        hopeless = [row for row in flown if row["survived"] != 1 and row["index"] not in told]
+        for some, marker, size, colour, label in (
+            (up, ".", 2.0, BLUE, "stays up"),
+            (fell, "x", 3.5, ORANGE, "falls"),
+            (hopeless, "+", 4.0, GREY, "falls when told, too"),
+        ):
+            points = np.array([(row["initial_length"], row["true_length"]) for row in some]).reshape(-1, 2)
+            axes.plot(*points.T, marker, ms=size, mew=0.8, color=colour, label=label if some else None)
+        axes.set(title=f"{title}: {len(up)} of {len(flown)} up", xlabel="first length (m)", xlim=(0.37, 1.63))
+    panels[0].set(ylabel="true length (m)", ylim=(0.45, 1.55))
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    origin(figure, "simulated flights of 12 s, uniform rods")
+    return figure
+
+
+class HandedOver(NamedTuple):
+    """A policy over all flights: how many; how many stay up; the share ``kept`` of those that stay up when told the
+    true length; of those up, the share whose used length is ``right`` at the end, mean and 95 % quantile of the time
+    after which it is, s; the largest used over true length."""
+
+    flights: int
+    up: int
+    kept: float
+    right: float
+    mean_time: float
+    late_time: float
+    longest: float
+
+
+def handed_over(rows: Rows, policy: str) -> HandedOver:
+    """A policy's rows of the study 'handover'."""
+    told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
+    flown = [row for row in rows if row["policy"] == policy]
+    up = [row for row in flown if row["survived"] == 1]
+    kept = float(np.mean([row["survived"] == 1 for row in flown if row["index"] in told]))
+    times = np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
+    longest = float(max(row["longest_used"] for row in flown))
+    late = float(np.quantile(times, 0.95))
+    return HandedOver(len(flown), len(up), kept, len(times) / len(up), float(times.mean()), late, longest)
+
+
+def table8_handover(rows: Rows) -> Table:
+    """Table 8: random rods and first lengths under four ways to the used length: who stays up, how soon it is right."""
+    lines = []
+    for policy, label in LABELS.items():
+        found = handed_over(rows, policy)
+        late = (NONE,) * 3
+        if policy != "told":
+            late = f"{100 * found.right:.1f}", f"{found.mean_time:.2f}", f"{found.late_time:.2f}"
+        kept = f"{100 * found.kept:.1f}"
+        lines.append((label, f"{found.flights}", f"{found.up}", kept, *late, f"{found.longest:.2f}"))
+    header = (
+        "Used length", "Flights", "Up", r"Up, of those up when told (\%)",
+        r"Right at the end (\%)", "After, mean (s)", r"After, 95\,\% (s)", "Longest used / true",
+    )  # fmt: skip
+    return Table(header, lines, "lrrrrrrr")
+
+
+def facts(rows: Rows) -> Facts:
+    """Return what the report states of each policy."""
+    found: Facts = {}
+    for policy in LABELS:
+        one = handed_over(rows, policy)
+        found |= {
+            (policy, "flights"): f"{one.flights}",
+            (policy, "up"): f"{one.up}",
+            (policy, "kept"): f"{100 * one.kept:.1f}",
+            (policy, "time"): f"{one.mean_time:.2f}",
+            (policy, "longest"): f"{one.longest:.2f}",
+        }
+    return found

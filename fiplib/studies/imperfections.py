@@ -21,13 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from fiplib import replay
-from fiplib.bags import Flight
 from fiplib.estimators import ESTIMATORS
 from fiplib.params import Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Plant, Scenario, Tape, fly
-from fiplib.studies.estimators import DURATION, summarise, windows_of
+from fiplib.recording import Flight
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.tables import NONE, Facts, Table, number
+from fiplib.simulate import Plant, Scenario, fly
+from fiplib.studies.estimators import DURATION, pooled, summarise, windows_of
 
 KEYS = ("imperfection", "seed")
 
@@ -100,8 +101,8 @@ def cases() -> list[dict]:
 
 def run(case: dict) -> dict[str, float | int]:
     """Fly the case and ask the estimators."""
-    flight, survived = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
-    params, row = flight.params, {"survived": int(survived)}
+    flight = flown(IMPERFECTIONS[case["imperfection"]], int(case["seed"]))
+    params, row = flight.params, {"survived": int(flight.survived)}
     windows = windows_of(flight)
     for name in NAMES:
         _, given = windows[ESTIMATORS[name].kind]
@@ -111,19 +112,15 @@ def run(case: dict) -> dict[str, float | int]:
     return row
 
 
-def flown(imperfection: Imperfection, seed: int) -> tuple[Flight, bool]:
-    """A flight of 1 m of uniform rod, the true length in use, as the estimators read it; whether it stayed up."""
+def flown(imperfection: Imperfection, seed: int) -> Flight:
+    """A flight of 1 m of uniform rod, the true length in use, as the estimators read it."""
     scenario = Scenario("circle", "", DURATION, CIRCLE, params=Params(), seed=40_000 + seed)
 
     def vehicle(params: Params, position: ArrayLike, lean: ArrayLike) -> Plant:
         return ImperfectPlant(params, position, lean, imperfection=imperfection, seed=scenario.seed)
 
-    tape = Tape()
-    outcome = fly(scenario, tape, vehicle=vehicle)
-    flight = replay.flight_of(tape, scenario)
-    if imperfection.marker or imperfection.mount:
-        flight = misread(flight, imperfection)
-    return flight, outcome.survived
+    flight = fly(scenario, vehicle=vehicle)
+    return misread(flight, imperfection) if imperfection.marker or imperfection.mount else flight
 
 
 def misread(flight: Flight, imperfection: Imperfection) -> Flight:
@@ -137,3 +134,43 @@ def misread(flight: Flight, imperfection: Imperfection) -> Flight:
         pendulum=replace(pendulum, position=pendulum.position + offset),
         state=None,
     )
+
+
+def table11_imperfections(rows: Rows) -> Table:
+    """Table 11: what becomes of three estimators when vehicle and laboratory are not quite as they are told."""
+    lines = []
+    for name in IMPERFECTIONS:
+        chosen = [row for row in rows if row["imperfection"] == name]
+        cells = [number(1e3 * pooled(chosen, "ga").rms, 0)]
+        for estimator in ("maximum_likelihood_calibrated", "maximum_likelihood"):
+            found = pooled(chosen, estimator)
+            cells.append(f"{100 * found.windows / _given(chosen, estimator):.0f}")
+            cells += [number(1e3 * found.rms, 1), f"{100 * found.covered:.0f}"] if found.windows else [NONE, NONE]
+        lines.append((name.replace("%", r"\%"), *cells))
+    header = ("Imperfection", "GA: RMSE (mm)")
+    for who in ("Exact", "Ours"):
+        header += (rf"{who}: answered (\%)", "RMSE (mm)", r"In 95\,\% interval (\%)")
+    return Table(header, lines, "lrrrrrrr")
+
+
+def _given(rows: Rows, name: str) -> float:
+    """How many windows an estimator was given."""
+    return sum(row[f"n_{name}"] + row[f"refused_{name}"] for row in rows)
+
+
+def facts(rows: Rows) -> Facts:
+    """Return what the report states of three imperfections."""
+    found: Facts = {}
+    for key, kind in {
+        "marker": "marker 0.1 mm off",
+        "turned": "frame turned by 0.5 deg",
+        "all": "all of them",
+    }.items():
+        chosen = [row for row in rows if row["imperfection"] == kind]
+        for name in ("ga", "maximum_likelihood_calibrated", "maximum_likelihood"):
+            one = pooled(chosen, name)
+            found[key, name, "answered"] = f"{100 * one.windows / _given(chosen, name):.0f}"
+            if one.windows:
+                found[key, name, "rms"] = f"{1e3 * one.rms:.1f}"
+                found[key, name, "covered"] = f"{100 * one.covered:.0f}"
+    return found

@@ -13,15 +13,19 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import kalman, replay
-from fiplib.bags import Flight
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.recording import Flight
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
+from fiplib.reproduction.tables import Table, number
+from fiplib.simulate import Scenario, fly
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""
@@ -123,7 +127,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
-        flight = flight_of(excitation, params.pendulum.gyration_ratio, seed)
+        flight = flown(excitation, params.pendulum.gyration_ratio, seed)
         known = replay.windows(flight, often)
         seconds = np.array([window.stamp - flight.start_ns for window in known]) / NANO
         chosen += [known[np.abs(seconds - end).argmin()].window for end in ENDS]
@@ -131,7 +135,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
 
 
 @cache
-def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
+def flown(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """A simulated flight with the true length; the same for all that is varied in the estimator.
 
     Raises:
@@ -139,10 +143,10 @@ def flight_of(excitation: str, gyration_ratio: float, seed: int) -> Flight:
     """
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
     scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    tape = Tape()
-    if not fly(scenario, tape).survived:
+    flight = fly(scenario)
+    if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
-    return replay.flight_of(tape, scenario)
+    return flight
 
 
 def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArray, NDArray]:
@@ -217,3 +221,102 @@ def _curvature_sd(lengths: NDArray, fitness: NDArray, index: int) -> float:
         return math.nan
     curvature = (fitness[below] - 2 * fitness[index] + fitness[above]) / (lengths[above] - lengths[index]) ** 2
     return math.sqrt(2 / curvature) if curvature > 0 else math.nan
+
+
+CURVE_NOISES = ("default", "identity")
+"""The names in ``NOISES`` under which whole landscapes are drawn."""
+
+CURVE_LENGTHS = tuple(centimetres / 100 for centimetres in range(20, 201))
+"""m: the interval of the paper's Table 2 in steps of 1 cm."""
+
+
+class Curves:
+    """The landscapes themselves, for a figure: every reading on one window, with calibrated and with unit noise."""
+
+    KEYS = ("reading", "noise", "length")
+
+    @staticmethod
+    def cases() -> list[dict[str, Any]]:
+        """Each reading, each noise, each length."""
+        return [{"reading": r, "noise": n, "length": l} for r in READINGS for n in CURVE_NOISES for l in CURVE_LENGTHS]
+
+    @staticmethod
+    def run(case: dict[str, Any]) -> dict[str, float]:
+        """``fitness`` of one length, and ``normalised``: its rise above the best of ``CURVE_LENGTHS``.
+
+        The unit of the rise is that of the median length, so that half the interval lies below 1 in every reading.
+        """
+        fitness, normalised = _curve(case["reading"], case["noise"])
+        index = int(np.abs(np.array(CURVE_LENGTHS) - case["length"]).argmin())
+        return {"fitness": float(fitness[index]), "normalised": float(normalised[index])}
+
+
+@cache
+def _curve(reading: str, noise: str) -> tuple[NDArray, NDArray]:
+    params = params_of({**DEFAULT, "noise": noise, "reading": reading})
+    window = windows_of(DEFAULT["excitation"], params)[0]
+    fitness = kalman.fitness(CURVE_LENGTHS, window, params.estimation)
+    rise = fitness - fitness.min()
+    return fitness, rise / np.median(rise)
+
+
+SHOWN_READINGS = {
+    "printed_posterior": "as printed",
+    "rk4_posterior": "posterior residual",
+    "rk4_prior": "prior residual",
+    "rk4_likelihood": "likelihood",
+}
+"""Readings of the fitness, as figures and tables name them."""
+
+
+def fig8_landscapes(curves: Rows) -> Figure:
+    """Fig. 8: what four readings of the fitness say about every length, on one and the same window."""
+    figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    looks = zip((ORANGE, PURPLE, GREEN, BLUE), ("-", "--", "-.", "-"), strict=True)
+    shown = {reading: (label, *look) for (reading, label), look in zip(SHOWN_READINGS.items(), looks, strict=True)}
+    titles = {"default": "calibrated covariances", "identity": "$Q_e = R_e = I$"}
+    for axes, (noise, title) in zip(panels, titles.items(), strict=True):
+        for reading, (label, colour, dashes) in shown.items():
+            points = sorted(
+                (row["length"], row["normalised"])
+                for row in curves
+                if row["reading"] == reading and row["noise"] == noise
+            )
+            axes.plot(*np.array(points).T, dashes, color=colour, label=label)
+            best = min(points, key=lambda point: point[1])
+            axes.plot(best[0], best[1], "o", color=colour, ms=4, mec="black", mew=0.4, clip_on=False, zorder=3)
+        axes.axvline(1.0, color="black", lw=0.6)
+        axes.set(title=title, xlabel="candidate length (m)", ylim=(0, 1.5), xlim=(0.2, 2.0))
+    panels[0].set_ylabel("fitness above its best (median = 1)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    origin(figure, "one simulated window, true length 1 m")
+    return figure
+
+
+def table9_landscapes(rows: Rows) -> Table:
+    """Table 9: mean error (standard deviation over windows) of the best of all lengths, in cm, for four readings, as
+    one thing at a time differs from the default."""
+    settings = dict.fromkeys(_setting(row) for row in rows)
+    cells = {(_setting(row), row["reading"]): row for row in rows}
+    lines = []
+    for setting in sorted(settings, key=lambda setting: setting != "default"):
+        found = [cells[setting, reading] for reading in SHOWN_READINGS]
+        errors = (f"{number(100 * row['bias'], 1)} ({100 * row['spread']:.1f})" for row in found)
+        lines.append((setting, *errors))
+    return Table(("What differs", *SHOWN_READINGS.values()), lines, "lrrrr")
+
+
+def _setting(row: dict) -> str:
+    """What differs from the default in a row of the study 'landscapes'."""
+    if row["factor"] == "none":
+        return "default"
+    noise = str(row["noise"]).replace("Q_e", "$Q_e$").replace("R_e", "$R_e$").replace("*", r"$\times$")
+    words = {
+        "excitation": row["excitation"],
+        "noise": noise.replace("identity", "$Q_e = R_e = I$"),
+        "samples": f"{row['samples']:g} samples",
+        "rate": f"{row['rate']:g} Hz",
+        "rod": row["rod"],
+    }
+    return str(words[row["factor"]])

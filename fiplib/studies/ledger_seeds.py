@@ -9,18 +9,23 @@ with what the paper says should be changed, or could be read otherwise, and noth
 - *every 5 s*: the other reading of "0.2 Hz"; *120 Hz window*: the other reading of the window's sampling;
 - *printed fitness*: the formula as printed, under our covariances (the errata's posterior residual).
 
-125 rows of the default and of the controller's variants; those of the estimator are the study ``ledger_readings``.
+125 rows of the default and of the controller's variants; ``Readings`` are the 40 of the estimator's.
 """
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fiplib import claims, measures, replay
-from fiplib.bags import Flight
+import numpy as np
+
 from fiplib.params import Y_DOT, Params, Y
-from fiplib.simulate import SCENARIOS, Tape, fly
+from fiplib.recording import Flight
+from fiplib.reproduction import claims, measures
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.tables import NONE, Table, number
+from fiplib.simulate import SCENARIOS, fly
+from fiplib.studies import seconds_flown
 
 KEYS = ("variant", "scenario", "seed")
 """``variant`` is a name in ``VARIANTS``, ``scenario`` one in ``simulate.SCENARIOS``."""
@@ -59,7 +64,7 @@ VARIANTS = {
 }
 
 ESTIMATOR = ("exploring", "every 5 s", "120 Hz window", "printed fitness")
-"""The variants of the estimator: a study of their own, ``ledger_readings``."""
+"""The variants of the estimator: a study of their own, ``Readings``."""
 
 CIRCLING = {"largest_lean": "C1", "x_gain": "C2.gain", "x_delay": "C2.delay", "y_error": "C2.y"}
 ESTIMATING = {"final_length": "length", "final_error": "error", "converged": "time"}
@@ -103,19 +108,17 @@ def run(case: dict) -> dict[str, float | int | str]:
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
-    tape = Tape()
-    outcome = fly(scenario, tape)
-    flight = replay.flight_of(tape, scenario)
+    flight = fly(scenario)
     row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)
-    row = {"survived": int(outcome.survived), "flown": outcome.duration, **row}
-    if outcome.survived or scenario.told_lengths:
+    row = {"survived": int(flight.survived), "flown": seconds_flown(flight, scenario), **row}
+    if flight.survived or scenario.told_lengths:
         for column, id in ROWS[scenario.name].items():
             if column == "tracking" and not updated_on_the_circle(flight):
                 continue
             claim = claims.BY_ID[id]
             found = claim.judge(claim.paper, flight)
             row |= {column: found.value, f"holds_{column}": int(found.verdict in claims.HELD)}
-    if outcome.survived and scenario.name in CIRCLE:
+    if flight.survived and scenario.name in CIRCLE:
         errors = measures.tracking_error(flight)[measures.laps(flight).mask]
         x, y = (measures.rms(axis) for axis in errors.T)
         row["axes"] = y / x
@@ -126,3 +129,71 @@ def updated_on_the_circle(flight: Flight) -> bool:
     """Whether the circle had begun before the first update of the length: else there is no arc to compare with (G5)."""
     before = flight.time(flight.reference) < measures.jumps(flight)[0].start
     return bool(measures.laps(flight).phase[before].max() > 0.0)
+
+
+class Readings:
+    """The estimator's rows of the ledger under other readings of the paper, and under the remedy that it names."""
+
+    KEYS = KEYS
+    run = staticmethod(run)
+
+    @staticmethod
+    def cases() -> list[dict]:
+        """Each variant of the estimator from either side of the truth, over its seeds."""
+        return cases_of(ESTIMATOR)
+
+
+def table5_seeds(rows: Rows) -> Table:
+    """Table 5: every row of the ledger that one flight decides, over many seeds: is it a rule, or one lucky flight?"""
+    default = [row for row in rows if row["variant"] == "default"]
+    lines = []
+    for scenario, columns in ROWS.items():
+        if scenario == "push-hover":
+            columns = {"survived": "D1"} | columns
+        flown = [row for row in default if row["scenario"] == scenario]
+        for column, id in columns.items():
+            held = column if column == "survived" else f"holds_{column}"
+            name = f"{id}, {scenario}" if id in ("G4.late", "G5") else id
+            lines.append((name, *_spread([row[column] for row in flown], id), *_share([row[held] for row in flown])))
+    header = ("Row", "Paper", "Mean", "SD", "Least", "Most", "Unit", "Flights", "Row holds")
+    return Table(header, sorted(lines, key=lambda line: _order(line[0])), "lrrrrrlrr")
+
+
+def table6_readings(default: Rows, readings: Rows) -> Table:
+    """Table 6: the length that the estimator's flights come to under other readings of the paper, and its remedy."""
+    lines = []
+    for variant in ("default", *dict.fromkeys(row["variant"] for row in readings)):
+        for scenario in ("estimate-0.8", "estimate-1.4"):
+            flown = [row for row in (*default, *readings) if row["variant"] == variant and row["scenario"] == scenario]
+            lengths = np.array([row["final_length"] for row in flown if math.isfinite(row["final_length"])])
+            mean, deviation, error = NONE, NONE, NONE
+            if lengths.size:
+                mean, deviation = f"{lengths.mean():.3f}", f"{lengths.std(ddof=1):.3f}"
+                errors = [row["final_error"] for row in flown if math.isfinite(row["final_error"])]
+                error = f"{np.sqrt(np.mean(np.square(errors))):.3f}"
+            up, held = sum(row["survived"] for row in flown), _share([row["holds_final_length"] for row in flown])[1]
+            lines.append((variant, scenario[-3:], f"{len(flown)}", f"{up:g}", mean, deviation, error, held))
+    header = ("Reading", "$l_0$ (m)", "Flights", "Up", "Mean (m)", "SD (m)", "RMSE (m)", "Row holds")
+    return Table(header, lines, "lrrrrrrr")
+
+
+def _spread(values: Sequence[float], id: str) -> tuple[str, ...]:
+    """Paper, mean, standard deviation, least, most, unit: of the finite values, with the decimals of the claim."""
+    claim = claims.BY_ID[id]
+    finite = np.array([value for value in values if math.isfinite(value)])
+    paper = NONE if claim.paper is None or id == "D1" else number(claim.paper, claim.decimals)
+    unit = "" if claim.unit == "1" or id == "D1" else claim.unit
+    if not finite.size:
+        return paper, NONE, NONE, NONE, NONE, unit
+    decimals = 2 if id == "D1" else claim.decimals
+    deviation = finite.std(ddof=1) if finite.size > 1 else math.nan
+    return paper, *(number(value, decimals) for value in (finite.mean(), deviation, finite.min(), finite.max())), unit
+
+
+def _share(held: Sequence[float]) -> tuple[str, str]:
+    """How many flights there are, and in how many of them the row holds; one that fell does not count as holding."""
+    return f"{len(held)}", f"{sum(value == 1 for value in held)}"
+
+
+def _order(name: str) -> tuple[int, str]:
+    return list(claims.BY_ID).index(name.split(",")[0]), name

@@ -26,10 +26,13 @@ import math
 
 import numpy as np
 
-from fiplib import margins
+from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
-from fiplib.simulate import Scenario, Tape, fly
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.tables import Facts
+from fiplib.simulate import Scenario, fly
+from fiplib.studies import seconds_flown
 from fiplib.studies.survival import RODS
 
 KEYS = ("length", "rod", "change", "lasting")
@@ -77,18 +80,42 @@ def run(case: dict) -> dict[str, float | int | str]:
         (START + float(time), case["length"] if lasts else TRUE_LENGTH)
         for time, lasts in zip(since, wrong, strict=True)
     )
-    flown, ratios = [], []
+    survived, flown, ratios = 0, [], []
     for seed in SEEDS:
-        tape = Tape()
         scenario = Scenario("length jump", "", START + SECONDS, CIRCLE, told_lengths=told, params=params, seed=seed)
-        flown.append(fly(scenario, tape))
-        time, rates = tape["command"][:, 0], np.square(tape["command"][:, 1:3])
+        flight = fly(scenario)
+        survived += flight.survived
+        flown.append(seconds_flown(flight, scenario) - START)
+        time, rates = flight.time(flight.command), np.square(flight.command.values[:, :2])
         before, after = rates[(time > START - 3.0) & (time < START)], rates[time >= START]
         ratios.append(math.sqrt(after.mean() / before.mean()))
     return {
         "growth_rate": margins.closed_loop(case["length"], params).growth_rate,
         "jump": round(case["length"] - TRUE_LENGTH, 9),
-        "survived": sum(outcome.survived for outcome in flown),
-        "flown": min(outcome.duration for outcome in flown) - START,
+        "survived": survived,
+        "flown": min(flown),
         "rate_ratio": max(ratios),
     }
+
+
+def facts(rows: Rows) -> Facts:
+    """Return the shortest and longest length that flies, by rod, change and duration."""
+    found: Facts = {}
+    flights = max(row["survived"] for row in rows)
+    for rod in ("uniform", "point mass"):
+        for change in ("at once", "in steps"):
+            for lasting in ("for good", "2 s"):
+                kind = {"rod": rod, "change": change, "lasting": lasting}
+                some = [row for row in rows if kind.items() <= row.items()]
+                fell = [row["length"] for row in some if row["survived"] < flights]
+                ends = {
+                    "shortest": min(
+                        r["length"] for r in some if r["length"] > max((x for x in fell if x < 1), default=0)
+                    ),
+                    "longest": max(
+                        r["length"] for r in some if r["length"] < min((x for x in fell if x > 1), default=9)
+                    ),
+                }
+                name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
+                found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    return found

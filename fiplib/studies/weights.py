@@ -20,7 +20,7 @@ reference in advance, so that x lags only where it is so slack that it falls sho
 axes are then one and the same system, so that y strays by 0.2 m only where x falls short by 17 to 30 %. Lighter weights
 on y alone give all but the lag: what the paper saw in y is what such weights do, and more weight mends it, as the paper
 says (C3; ``ledger_seeds``, "y heavy"). That is why the default has them; candidate 2 is the same with equal axes, the
-default until this search was done. Table 7 counts (``summaries.table7_weights``).
+default until this search was done. Table 7 counts (``table7_weights``).
 
 160 rows, about 5 minutes of one core.
 """
@@ -31,12 +31,15 @@ from typing import Any
 
 import numpy as np
 
-from fiplib import claims, margins, measures, replay
-from fiplib.claims import Verdict
+from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
 from fiplib.pilot import Circle
-from fiplib.simulate import SCENARIOS, Scenario, Tape, fly
+from fiplib.reproduction import claims, measures
+from fiplib.reproduction.claims import Verdict
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.tables import Facts, Table
+from fiplib.simulate import SCENARIOS, Scenario, fly
 from fiplib.studies.survival import RODS
 
 KEYS = ("candidate",)
@@ -148,23 +151,57 @@ def _starts(params: Params) -> dict[str, float]:
     up, leans = 0, []
     for start in STARTS:
         if start != params.pendulum.length:
-            tape = Tape()
             flown = params.replace(piloting__initial_length=start)
             scenario = Scenario("start", "", START_SECONDS, Circle(radius=0.4, period=8.0), params=flown, seed=SEED)
-            up += fly(scenario, tape).survived
-            leans.append(float(measures.lean(replay.flight_of(tape, scenario)).max()))
+            flight = fly(scenario)
+            up += flight.survived
+            leans.append(float(measures.lean(flight).max()))
     return {"starts": up, "start_lean": max(leans)}
 
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
     """The rows of the ledger that are read from this flight; none holds if it falls."""
-    tape = Tape()
-    survived = fly(scenario, tape).survived
-    flight = replay.flight_of(tape, scenario)
+    flight = fly(scenario)
     row = {}
     for id in (*NEEDED, *ALSO):
         claim = claims.BY_ID[id]
         if claim.bags == (scenario.name,):
-            found = claim.judge(claim.paper, flight) if survived else claims.Finding(math.nan, Verdict.NOT, "fell")
+            found = (
+                claim.judge(claim.paper, flight) if flight.survived else claims.Finding(math.nan, Verdict.NOT, "fell")
+            )
             row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
     return row
+
+
+def table7_weights(rows: Rows) -> Table:
+    """Table 7: the search for one set of weights: how many candidates pass each condition, alone and with the rest."""
+    equal = [row for row in rows if row["y_share"] == 1.0]
+    conditions = {
+        "linear loop stable, every start": lambda row: row["linear"] == 1,
+        "every start flies": lambda row: row["starts"] == 3,
+        **{f"{id} holds": lambda row, id=id: row[f"holds_{id}"] == 1 for id in ("D1", "D2", "D3", "C1", "C2.gain")},
+        "all of these": lambda row: row["passes"] == 1,
+        "C2.delay holds": lambda row: row["holds_C2.delay"] == 1,
+        "C2.delay and C2.gain": lambda row: row["holds_C2.delay"] == 1 and row["holds_C2.gain"] == 1,
+        "C2.y holds": lambda row: row["holds_C2.y"] == 1,
+        "C2.y and C2.gain": lambda row: row["holds_C2.y"] == 1 and row["holds_C2.gain"] == 1,
+        "all but C2.delay": lambda row: row["passes"] == 1 and row["holds_C2.y"] == 1,
+    }
+    others = [row for row in rows if row["y_share"] != 1.0]
+    lines = [(text, f"{sum(map(holds, equal))}", f"{sum(map(holds, others))}") for text, holds in conditions.items()]
+    header = ("Condition", f"Axes alike, of {len(equal)}", f"$y$ lighter, of {len(others)}")
+    return Table(header, lines, "lrr")
+
+
+def facts(rows: Rows) -> Facts:
+    """Return how many candidates pass, as the report states."""
+    found: Facts = {}
+    alike = [row for row in rows if row["y_share"] == 1.0]
+    both = [row for row in alike if row["holds_C2.gain"] == 1 and 1 in (row["holds_C2.y"], row["holds_C2.delay"])]
+    found |= {
+        ("candidates",): f"{len(alike)}",
+        ("stable",): f"{sum(row['linear'] == 1 for row in alike)}",
+        ("pass",): f"{sum(row['passes'] == 1 for row in alike)}",
+        ("both",): f"{len(both)}",
+    }
+    return found

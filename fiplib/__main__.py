@@ -1,0 +1,126 @@
+"""The one command, ``fip``; also ``python -m fiplib``.
+
+A subcommand is a module with two functions: ``add_arguments(parser)`` and ``run(options)``, which returns the exit
+status. Only the module of the subcommand that was asked for is imported. Errors, interruptions and streams that are
+gone are handled here, once for all of them.
+"""
+
+import argparse
+import errno
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from fiplib import __version__
+from fiplib.params import FipError
+
+MISTAKE, READER_GONE = 2, 128 + 13
+"""Exit statuses beside those of a subcommand: a user's mistake; the reader of the output has closed it (SIGPIPE)."""
+OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
+"""What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
+
+
+class Command(NamedTuple):
+    """A subcommand: its module, and its line in ``fip --help``."""
+
+    module: str
+    summary: str
+
+
+EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
+"""Packages that only some installations have, and the extra that brings each."""
+
+COMMANDS = {
+    "figures": Command("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
+    "claims": Command("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
+    "bag": Command("fiplib.bags.command", "say what a recorded flight holds; recover a damaged one"),
+    "fly": Command("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
+    "sweep": Command("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
+    "faults": Command("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
+    "firmware": Command("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    _usable_streams()
+    signal.signal(signal.SIGTERM, _terminated)
+    return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
+
+
+def guarded(task: Callable[[], int]) -> int:
+    """Run a task; return its exit status, or that of what ended it, after one line on stderr.
+
+    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, a closed pipe 141 in silence.
+    """
+    try:
+        status = task()
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        _discard_output()
+        return READER_GONE
+    except KeyboardInterrupt:
+        return _said("interrupted", 128 + signal.SIGINT)
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        return _said(f"this needs the package {error.name}: pip install 'fip[{extra}]'", MISTAKE)
+    except (FipError, ValueError, OSError) as error:
+        if isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST:
+            _discard_output()
+            return _said(f"the output cannot be written: {error.strerror}", MISTAKE)
+        return _said(" ".join(str(error).split("\n")) or type(error).__name__, MISTAKE)
+
+
+def _run(arguments: list[str]) -> int:
+    description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help says more."
+    parser = argparse.ArgumentParser(prog="fip", description=description, epilog=more)
+    parser.add_argument("--version", action="version", version=f"fip {__version__}")
+    commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
+    asked = next((word for word in arguments if not word.startswith("-")), None)
+    for name, command in COMMANDS.items():
+        subparser = commands.add_parser(name, help=command.summary, description=f"{command.summary.capitalize()}.")
+        if name == asked:
+            importlib.import_module(command.module).add_arguments(subparser)
+    options = parser.parse_args(arguments)
+    return importlib.import_module(COMMANDS[options.subcommand].module).run(options)
+
+
+def _said(text: str, status: int) -> int:
+    try:
+        print(f"fip: {text}", file=sys.stderr, flush=True)
+    except OSError:  # nobody to tell
+        _discard_output()
+    return status
+
+
+def _usable_streams() -> None:
+    """Replace streams that were closed before the start; write names that are not UTF-8 as escapes."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))
+        elif name != "stdin" and hasattr(stream, "reconfigure"):  # not where a test has put its own
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _discard_output() -> None:
+    """Send what is still in the buffers nowhere: Python would complain about it when it exits."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _terminated(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)  # leaves every ``with`` block in good order
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Controllers beside the MPC, and the linear analysis of their closed loop."""

@@ -1,0 +1,219 @@
+"""Linear analysis of one axis of the closed loop, delay and lag included: is it stable, and with how much to spare?
+
+Between two control ticks everything in the loop is linear and runs on a fixed grid: the plant's substeps, the frames of
+motion capture, the ticks. So the loop from tick to tick is one matrix, without approximation of delay or sampling:
+
+- plant: vehicle and rod with reaction and inertia (``dynamics.coupled_plant``, linearised upright), the inner loop's
+  lag, and as a pure delay in whole substeps the delay of the inner loop and the latency of motion capture;
+- observer: velocities differentiated and low-pass filtered at every frame, as in ``pilot.Observer``;
+- controller: the first Riccati gain of ``mpc.MPC`` for the length it *uses*, while the plant has the *true* one.
+
+What it leaves out: bounds, noise, large angles. Margins are those of the loop broken at the commanded body rate.
+"""
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from fiplib.mpc import MPC
+from fiplib.params import GRAVITY, Params, Piloting
+
+FREQUENCIES = 400
+"""Points of a frequency response, evenly spaced on a logarithmic axis from ``SLOWEST`` to the Nyquist frequency: 2.6 %
+apart, and the margins are interpolated between them."""
+
+SLOWEST = 0.01
+"""Lowest frequency of a response in rad/s: well below the slowest closed-loop mode met, 0.07 1/s."""
+
+SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
+"""Factors tried on the pendulum's gains: 1 % apart, from 0.14 to 7.4."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a stable loop at its input; 1, 1, 0, 0 where it is unstable.
+
+    Attributes:
+        gain_low, gain_high: factors between which the loop gain may lie; below 1 and above 1.
+        delay: additional delay in s.
+        disk: balanced disk margin alpha: gain and phase may vary together within a disk, from (2 - alpha)/(2 + alpha)
+            to its inverse in gain alone.
+    """
+
+    gain_low: float
+    gain_high: float
+    delay: float
+    disk: float
+
+
+UNSTABLE = Margins(1.0, 1.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class LinearLoop:
+    """One axis from control tick to control tick: plant (6), the observer's last positions (2) and velocities (2),
+    and the commands under way.
+
+    Attributes:
+        open_loop: from the commanded body rate to the controller's answer to it, sign reversed: L(z).
+        step: control period in s.
+        gain: K (5,) of u = -K (s, s', d, d', tilt).
+        sees: what the controller takes for (s, s', d, d', tilt), (5, n) from the loop's n states.
+    """
+
+    open_loop: control.StateSpace
+    step: float
+    gain: NDArray
+    sees: NDArray
+
+    @functools.cached_property
+    def eigenvalues(self) -> NDArray:
+        """Of the closed loop per control period, largest magnitude first."""
+        values = np.linalg.eigvals(self.open_loop.A - self.open_loop.B @ self.open_loop.C)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest magnitude of an eigenvalue; below 1 the loop is stable."""
+        return float(np.abs(self.eigenvalues[0]))
+
+    @property
+    def growth_rate(self) -> float:
+        """Rate of the slowest decaying or fastest growing mode, 1/s; negative if the loop is stable."""
+        return math.log(self.spectral_radius) / self.step
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of that mode, rad/s; 0 if it does not oscillate."""
+        return abs(float(np.angle(self.eigenvalues[0]))) / self.step
+
+    def response(self) -> tuple[NDArray, NDArray]:
+        """Frequencies (n,) in rad/s and L there (n,), complex."""
+        omega = np.geomspace(SLOWEST, 0.999 * math.pi / self.step, FREQUENCIES)
+        return omega, self.open_loop(np.exp(1j * omega * self.step), squeeze=True)
+
+    @functools.cached_property
+    def margins(self) -> Margins:
+        """Margins of the loop broken at the input."""
+        if self.spectral_radius >= 1.0:
+            return UNSTABLE
+        omega, loop = self.response()
+        gains, phases, _, _, crossings, _ = control.stability_margins(
+            control.frd(loop, omega, smooth=True), returnall=True
+        )
+        lag = np.radians(np.mod(phases, 360.0)) / crossings  # further delay turns the response one way only
+        # as control.disk_margins, from the response at hand: 2 / |S - T| with S - T = (1 - L) / (1 + L)
+        disk = 2.0 * np.abs((1.0 + loop) / (1.0 - loop)).min()
+        return Margins(
+            float(gains[gains < 1.0].max(initial=0.0)),
+            float(gains[gains > 1.0].min(initial=math.inf)),
+            float(lag.min(initial=math.inf)),
+            float(disk),
+        )
+
+    def pendulum_share(self) -> tuple[float, float]:
+        """Factors between which the gains of d and d' alone may lie, the others left as they are: (low, high).
+
+        The first of ``SHARES`` on either side at which the loop is unstable (0, inf: none); 1, 1 where it is already.
+        """
+        if self.spectral_radius >= 1.0:
+            return 1.0, 1.0
+        factors = np.array(SHARES)
+        gains = self.gain * np.where([False, False, True, True, False], factors[:, None], 1.0)
+        closed = self.open_loop.A - self.open_loop.B * (gains @ self.sees)[:, None, :]
+        stable = np.abs(np.linalg.eigvals(closed)).max(axis=1) < 1.0
+        below, above = factors[(factors < 1.0) & ~stable], factors[(factors > 1.0) & ~stable]
+        return float(below.max(initial=0.0)), float(above.min(initial=math.inf))
+
+
+def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
+    """``dynamics.coupled_plant`` linearised about the upright hover, one axis: A (6, 6) and B (6, 1).
+
+    The state is (s, s', d, d', tilt, rate), the input the commanded body rate. With r = l/2 and
+    kappa = (m + m_p) / (m + m_p (1 - lambda)), by how much the vehicle is lighter across the rod than along it:
+
+        s'' = g (kappa tilt + (1 - kappa) d/r),   d'' = lambda kappa g (d/r - tilt),   rate' = (command - rate) / lag.
+    """
+    m, m_p, r = params.vehicle.mass, params.pendulum.mass, params.pendulum.length / 2
+    factor = params.pendulum.inertia_factor
+    kappa = (m + m_p) / (m + m_p * (1 - factor))
+    a, b = np.zeros((6, 6)), np.zeros((6, 1))
+    a[0, 1] = a[2, 3] = a[4, 5] = 1.0
+    a[1, 4], a[1, 2] = GRAVITY * kappa, GRAVITY * (1 - kappa) / r
+    a[3, 2], a[3, 4] = factor * kappa * GRAVITY / r, -factor * kappa * GRAVITY
+    a[5, 5], b[5, 0] = -1 / params.simulation.rate_lag, 1 / params.simulation.rate_lag
+    return a, b
+
+
+def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis: int = 0) -> LinearLoop:
+    """The loop of one axis when the MPC uses ``used_length`` m and the rod is ``params.pendulum``.
+
+    Args:
+        used_length: length l of the prediction model in m.
+        params: rod, weights, rates, delays and lags.
+        mpc: of the same weights, to be used again for another length or rod.
+        axis: index into ``params.AXES``; the two differ where their weights do.
+
+    Raises:
+        ValueError: rates that are no whole multiples of each other, or a pendulum that is not measured by position.
+    """
+    if params.piloting.pendulum_measurement != "position":
+        raise ValueError("the linear loop knows the reading pendulum_measurement = 'position' only")
+    rates = params.simulation.plant_rate, params.piloting.mocap_rate, params.piloting.control_rate
+    substeps, frames = (round(fast / slow) for fast, slow in itertools.pairwise(rates))
+    if not math.isclose(rates[0], substeps * rates[1]) or not math.isclose(rates[1], frames * rates[2]):
+        raise ValueError(f"plant, mocap and control rate must be whole multiples of each other, got {rates} Hz")
+    delay = round((params.simulation.mocap_latency + params.simulation.rate_delay) * rates[0])  # as simulate.Plant
+    ticks = math.ceil(delay / (frames * substeps))
+
+    # Within a tick: plant (6), last positions (2), velocities (2), commands from this tick's to that of `ticks` ago
+    size = 11 + ticks
+    observe, tick = _observer(params.piloting, size), np.eye(size)
+    a, b = linear_plant(params)
+    held = expm(np.block([[a, b], [np.zeros((1, 7))]]) / rates[0])
+    for substep in range(frames * substeps):
+        if substep % substeps == 0:
+            tick = observe @ tick
+        age = max(0, math.ceil((delay - substep) / (frames * substeps)))
+        advance = np.eye(size)
+        advance[:6, :6], advance[:6, 10 + age] = held[:6, :6], held[:6, 6]
+        tick = advance @ tick
+    # Between ticks the oldest command has done its work; the new one comes in as the input
+    kept = np.delete(np.eye(size), 10, axis=1)
+    gain = -(mpc or MPC(params)).prepare(used_length)[axis].plan[0, :5]  # of u_0 to z_0
+    sees = (observe @ kept)[[0, 8, 2, 9, 4]]
+    open_loop = control.ss((tick @ kept)[:-1], tick[:-1, 10:11], gain[None] @ sees, 0.0, 1.0 / rates[2])
+    return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)
+
+
+def _observer(piloting: Piloting, size: int) -> NDArray:
+    """What a frame does to plant (6), last positions (2) and velocities (2), as ``pilot.Observer``."""
+    share = 1.0 - math.exp(-2.0 * math.pi * piloting.velocity_cutoff / piloting.mocap_rate)
+    observe = np.eye(size)
+    for axis, position in enumerate((0, 2)):
+        last, velocity = 6 + axis, 8 + axis
+        observe[last, [position, last]] = 1.0, 0.0
+        observe[velocity, [position, last, velocity]] = np.array([1.0, -1.0, 0.0]) * share * piloting.mocap_rate
+        observe[velocity, velocity] = 1.0 - share
+    return observe
+
+
+def stability(
+    used_length: float, true_length: float, gyration_ratio: float, params: Params | None = None, mpc: MPC | None = None
+) -> LinearLoop:
+    """The loop when the MPC uses one length and the rod has another, with k^2/l^2 = ``gyration_ratio``.
+
+    Args:
+        used_length, true_length: in m.
+        gyration_ratio: 0 is a point mass, 1/12 a uniform rod.
+        params: everything else; the defaults if none are given.
+        mpc: as in ``closed_loop``.
+    """
+    changed = {"pendulum__length": true_length, "pendulum__gyration_ratio": gyration_ratio}
+    return closed_loop(used_length, (params or Params()).replace(**changed), mpc)

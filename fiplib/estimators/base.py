@@ -1,0 +1,35 @@
+"""What all estimators share: the estimate, an entry of the registry, the prior. Imports no solver."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import NamedTuple
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A length in m and its standard deviation in m (nan if none is stated); ``reason`` says why it was refused.
+
+    A refused estimate has a length of nan, so that it cannot be taken for one.
+    """
+
+    length: float
+    standard_deviation: float
+    reason: str | None = None
+
+
+class Estimator(NamedTuple):
+    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'."""
+
+    path: str
+    kind: str
+
+    @property
+    def function(self) -> Callable[..., Estimate]:
+        """The function (window, params, rng) -> Estimate; its module is imported now."""
+        return resolve_name(f"{__package__}.{self.path}")
+
+
+PRIOR = (1.1, 0.5)
+"""Mean and standard deviation in m of the length before any data, for the estimators that need one: the middle of the
+paper's interval from 0.2 to 2 m, which then is nearly +-2 deviations wide."""

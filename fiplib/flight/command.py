@@ -1,0 +1,180 @@
+"""``fip fly``: fly a scenario through the pilot and record a ROS 2 bag.
+
+The vehicle is simulated unless --link says otherwise, and the bag says which. Nothing here has flown on a vehicle.
+In real time, Ctrl-C lands (levels and descends; the rod is given up); a second one stops the motors.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from tqdm import tqdm
+
+from fiplib import bags, simulate
+from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits, changed
+from fiplib.flight.links import Link, available
+from fiplib.flight.loop import FlightLoop
+from fiplib.flight.session import NewBag, Session
+from fiplib.params import assignment
+from fiplib.pilot import Pilot
+from fiplib.recording import Flight
+from fiplib.simulate import Scenario
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``fip fly``, those of every link among them."""
+    action = parser.add_mutually_exclusive_group(required=True)
+    action.add_argument("--scenario", metavar="NAME", help="which flight to fly (see --list)")
+    action.add_argument("--list", action="store_true", help="list the scenarios")
+    parser.add_argument("--output", metavar="BAG", help="folder of the bag to write (default: the scenario's name)")
+    parser.add_argument("--force", action="store_true", help="replace BAG if it is a bag already")
+    parser.add_argument("--seed", type=int, help="seed of noise and estimator (default: the scenario's)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="GROUP.NAME=VALUE",
+        help="change a parameter of fiplib/params.py or fiplib/flight/limits.py, e.g. pendulum.length=0.8; may be "
+        "repeated",
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds to fly (default: the scenario's)")
+    parser.add_argument(
+        "--arm", action="store_true", help="arm a real vehicle once the checks pass, without waiting for Enter"
+    )
+    links = available()
+    parser.add_argument("--link", choices=links, default="sim", help="how to reach the vehicle (default: %(default)s)")
+    for name, link in links.items():
+        link.arguments(parser.add_argument_group(f"--link {name}"))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fly as the options ask; returns the exit status, 130 after an operator's abort."""
+    if options.list:
+        return list_scenarios()
+    scenario, limits = chosen(options)
+    output = Path(options.output or scenario.name)
+    if not behind_failsafe(options, limits):
+        fly_simulated(scenario, output, options.force)
+        return 0
+    link = chosen_link(options, scenario, limits)
+    session = Session(scenario, limits, link, output, in_real_time(options), asks(options, link), options.force)
+    return fly(session, Guard(Pilot(scenario.params, scenario.reference), limits))
+
+
+def list_scenarios() -> int:
+    """Print the scenarios."""
+    width = max(map(len, simulate.SCENARIOS))
+    for scenario in simulate.SCENARIOS.values():
+        print(f"{scenario.name:{width}}  {scenario.duration:4.0f} s  {scenario.description}")
+    return 0
+
+
+def chosen(options: argparse.Namespace) -> tuple[Scenario, Limits]:
+    """Return the scenario and the limits that the options ask for.
+
+    Raises:
+        ValueError: an unknown scenario or parameter, or a value that cannot be read.
+    """
+    if options.duration is not None and not 0.0 < options.duration < math.inf:
+        raise ValueError(f"--duration {options.duration:g}: give seconds > 0")
+    if options.scenario not in simulate.SCENARIOS:
+        raise ValueError(f"no scenario {options.scenario!r}; there are {', '.join(simulate.SCENARIOS)}")
+    scenario = simulate.SCENARIOS[options.scenario]
+    params, limits = changed(scenario.params, Limits(), map(assignment, options.set))
+    seed = scenario.seed if options.seed is None else options.seed
+    duration = scenario.duration if options.duration is None else options.duration
+    return dataclasses.replace(scenario, params=params, seed=seed, duration=duration), limits
+
+
+def behind_failsafe(options: argparse.Namespace, limits: Limits) -> bool:
+    """Return whether the flight has a failsafe around the pilot. Raises ValueError for limits without one."""
+    if options.link != "sim" or options.real_time or options.failsafe:
+        return True
+    if limits != Limits():
+        raise ValueError("--set safety or radio: they fly with --real-time, --failsafe or --link crsf only")
+    return False
+
+
+def in_real_time(options: argparse.Namespace) -> bool:
+    """Return whether the flight runs against the wall clock."""
+    return options.link != "sim" or options.real_time
+
+
+def chosen_link(options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
+    """Return the link that the options ask for, not yet open. Raises ValueError, LinkError."""
+    return available()[options.link].from_options(options, scenario, limits)
+
+
+def asks(options: argparse.Namespace, link: Link) -> bool:
+    """Return whether the operator must press Enter to arm. Raises ValueError where there is no terminal for it."""
+    # on the bench the vehicle is simulated, but a radio may reach motors
+    ask = (link.origin == "real" or options.link == "crsf") and not options.arm
+    if ask and not sys.stdin.isatty():
+        raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
+    return ask
+
+
+def fly_simulated(scenario: Scenario, output: Path, force: bool = False) -> Flight:
+    """Fly in the simulator, without failsafe, and record. Raises BagError."""
+    started = time.perf_counter()
+    with (
+        NewBag(output, force) as bag,
+        bags.BagRecorder(output, scenario.metadata()) as recorder,
+        tqdm(total=round(scenario.duration), unit="s", desc=scenario.name, disable=None, leave=False) as bar,
+    ):
+        bag.begun = True
+        flight = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
+    seconds, end = time.perf_counter() - started, "still balanced" if flight.survived else "FELL"
+    print(f"simulated {flight.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
+    return flight
+
+
+def fly(session: Session, guard: Guard, observer: Callable[[FlightLoop, Session], None] | None = None) -> int:
+    """Fly behind the failsafe and record.
+
+    Args:
+        session: not yet entered.
+        guard: the failsafe with its pilot.
+        observer: called after each step of the loop.
+
+    Returns:
+        The exit status: 0, or 130 after an operator's abort.
+
+    Raises:
+        BagError, LinkError: as ``Session``.
+    """
+    started = ended = 0.0
+    try:
+        with session:
+            beside = session.recorder, session.estimator, session.operator, session.view
+            watch = None if observer is None else lambda loop: observer(loop, session)
+            loop = FlightLoop(session.scenario, session.link, guard, *beside, watch)
+            started = time.perf_counter()
+            loop.run()
+            ended = time.perf_counter()
+    finally:  # whatever becomes of the recording
+        if ended:
+            with contextlib.suppress(OSError):  # the terminal may be gone
+                print(summary(session, loop, ended - started))
+    with contextlib.suppress(OSError):
+        print(f"wrote {session.output}")
+    return 130 if session.operator.reason else 0
+
+
+def summary(session: Session, loop: FlightLoop, seconds: float) -> str:
+    """Return how a flight that took so many seconds ended, in words."""
+    end = "still balanced" if loop.balanced else "not balanced to the end"
+    words = f"{session.link.origin}: {loop.duration:.2f} s in {seconds:.1f} s, {end} ({loop.guard.ended})"
+    if not session.real_time:
+        return words
+    clockwork = loop.clockwork
+    return (
+        f"{words}\n{clockwork.ticks} ticks, {clockwork.late_ours} answered late, {clockwork.late_machine} with late "
+        f"poses; worst answer after {1e3 * clockwork.worst_solve:.1f} ms"
+    )

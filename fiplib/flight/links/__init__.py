@@ -1,0 +1,107 @@
+"""Links: how poses come in and commands go out. One file per link, each with one class that follows ``Link``.
+
+A new link is one file with one class, and one line in ``available``. A link's module must import without the software
+that the link needs (rclpy, pyserial): it is asked for its options in any case, and imports the rest on entering.
+"""
+
+import argparse
+from collections import deque
+from types import TracebackType
+from typing import Protocol, Self
+
+from numpy.typing import NDArray
+
+from fiplib.flight.limits import Limits
+from fiplib.flight.setpoint import Setpoint
+from fiplib.params import FipError
+from fiplib.recording import Event, Measurement
+from fiplib.simulate import Scenario
+
+
+class LinkError(FipError):
+    """A link cannot be opened or has broken; the message says what is missing and what to do."""
+
+
+class PoseSource(Protocol):
+    """Where frames come from, open between ``__enter__`` and ``__exit__``: the first half of a ``Link``."""
+
+    origin: str
+    """"simulated" or "real": where the poses come from, for the bag's metadata."""
+
+    truth: NDArray | None
+    """The true state (11,) as ``ROLES["truth_state"]`` at the newest frame; ``None`` where it is not known."""
+
+    events: deque[Event]
+    """Pushes of a simulated vehicle, for the recorder; the reader takes them away."""
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The ids of the processes that belong to it, by name; empty before it is entered."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Open it. Raises LinkError."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def now(self) -> int:
+        """Return the link's clock, ns; arrival times and setpoints are stamped by it."""
+        ...
+
+    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
+        """Return the next frame and the time at which it arrived, ns; ``None`` when none came within ``timeout`` s.
+
+        Frames are given as they came, damaged ones too (NaN, old stamps): ``failsafe.Guard`` judges them.
+        """
+        ...
+
+    def wait(self) -> None:
+        """Return once frames arrive. Raises LinkError, with the reason, if none do."""
+        ...
+
+    def fault(self) -> str | None:
+        """Return why the vehicle cannot be flown any more (a process has died ...); ``None`` while it can."""
+        ...
+
+
+class Link(PoseSource, Protocol):
+    """A way to a vehicle, simulated or real: a context manager.
+
+    Leaving it must send level-and-disarm frames for ``safety.leave_time``; ``sender.Sender.close`` does. What reaches a
+    vehicle goes through a ``Sender``, whose process repeats the newest setpoint whatever happens here.
+    """
+
+    name: str
+    """Its name on the command line and in the bag's metadata."""
+
+    def send(self, setpoint: Setpoint) -> None:
+        """Hand over a setpoint; never blocks, never raises."""
+        ...
+
+
+class LinkChoice(Protocol):
+    """The part of a link's class that the command line uses."""
+
+    name: str
+
+    @staticmethod
+    def arguments(parser: argparse._ArgumentGroup) -> None:
+        """Add the options of this link to the parser; their names start with the link's: ``--crsf-port``."""
+        ...
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
+        """Return the link that the options ask for, not yet open. Raises ValueError for options that make no sense."""
+        ...
+
+
+def available() -> dict[str, type[LinkChoice]]:
+    """Return the links by name."""
+    from fiplib.flight.links.crsf import CrsfLink  # here, because these modules import this one
+    from fiplib.flight.links.ros2 import Ros2Link
+    from fiplib.flight.links.simulated import SimulatedLink
+
+    return {link.name: link for link in (SimulatedLink, Ros2Link, CrsfLink)}

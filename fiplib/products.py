@@ -1,0 +1,217 @@
+"""The registry: every figure, every table and the ledger, each with what it is made from; ``fip figures`` makes them.
+
+A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``. The
+Makefile derives its lists from here. Modules are imported when something of theirs is made.
+"""
+
+import argparse
+import pkgutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fiplib import studies
+from fiplib.params import FipError
+from fiplib.reproduction.sources import Sources, read
+from fiplib.studies import STUDIES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fiplib.reproduction.tables import Facts, Table
+
+
+@dataclass(frozen=True)
+class Product(Sources):
+    """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns."""
+
+    address: str
+
+    def load(self) -> "Callable[..., Figure | Table]":
+        """Import the function."""
+        return pkgutil.resolve_name(self.address)
+
+
+_ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
+
+PRODUCTS = {
+    "fig1-flight": Product("fiplib.reproduction.figures:fig1_flight", bags=("circle-0.8",)),
+    "fig2-vehicle": Product("fiplib.reproduction.figures:fig2_vehicle"),
+    "fig3-pushes": Product("fiplib.reproduction.figures:fig3_pushes", bags=("push-hover",)),
+    "fig4-circle": Product("fiplib.reproduction.figures:fig4_circle", bags=("circle-0.8",)),
+    "fig5-estimation": Product("fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",)),
+    "fig6-convergence": Product("fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES),
+    "fig7-survival": Product("fiplib.studies.survival:fig7_survival", studies=("survival",)),
+    "fig8-landscapes": Product("fiplib.studies.landscapes:fig8_landscapes", studies=("landscape_curves",)),
+    "fig9-estimators": Product("fiplib.studies.estimators:fig9_estimators", studies=("estimators",)),
+    "fig10-intervals": Product("fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",)),
+    "fig11-handover": Product("fiplib.studies.handover:fig11_handover", studies=("handover",)),
+    "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
+    "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
+    "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
+    "table2-software": Product("fiplib.reproduction.tables:table2_software"),
+    "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
+    "table4-estimators": Product("fiplib.studies.estimators:table4_estimators", studies=("estimators",)),
+    "table5-seeds": Product("fiplib.studies.ledger_seeds:table5_seeds", studies=("ledger_seeds",)),
+    "table6-readings": Product(
+        "fiplib.studies.ledger_seeds:table6_readings", studies=("ledger_seeds", "ledger_readings")
+    ),
+    "table7-weights": Product("fiplib.studies.weights:table7_weights", studies=("weights",)),
+    "table8-handover": Product("fiplib.studies.handover:table8_handover", studies=("handover",)),
+    "table9-landscapes": Product("fiplib.studies.landscapes:table9_landscapes", studies=("landscapes",)),
+    "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
+    "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
+}
+"""Every figure (``fig...``) and table (``table...``) by name."""
+
+LEDGER = "claims"
+"""The name of the ledger among the products."""
+
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
+"""The studies whose ``facts`` the report states, in the order of the file that holds them."""
+
+
+def ledger() -> Product:
+    """The ledger: made from what its claims and the report's facts are read from."""
+    from fiplib.reproduction.claims import CLAIMS
+
+    return Product(
+        "fiplib.reproduction.ledger:evaluate",
+        bags=_united(claim.bags for claim in CLAIMS),
+        studies=_united([*(claim.studies for claim in CLAIMS), FACTS]),
+        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+    )
+
+
+def _united(groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for group in groups for name in group))
+
+
+def make(name: str, data: Path = Path("data")) -> "Figure | Table":
+    """Make one figure or table from the bags and tables in ``data`` and, beside it, ``benchmarks``.
+
+    Raises:
+        FipError: no such name, or what it is made from is missing or damaged.
+    """
+    if name not in PRODUCTS:
+        raise FipError(f"no figure {name!r}; there are {', '.join(PRODUCTS)}")
+    product = PRODUCTS[name]
+    sources = product.read(data)
+    for source, what in zip(sources, product.names, strict=True):
+        if not source:
+            again = Sources(studies=product.studies, benchmarks=product.benchmarks).command
+            raise FipError(f"{what} is missing: {again}")
+    import matplotlib as mpl
+
+    from fiplib.reproduction.style import STYLE
+
+    with mpl.rc_context(STYLE):
+        return product.load()(*sources)
+
+
+def suffixes(name: str) -> tuple[str, str]:
+    """The formats in which a product is written."""
+    return (".pdf", ".png") if name.startswith("fig") else (".csv", ".tex")
+
+
+def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
+    """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from fiplib.reproduction.style import STYLE
+
+    folder.mkdir(parents=True, exist_ok=True)
+    first, second = paths = [folder / f"{name}{suffix}" for suffix in suffixes(name)]
+    if isinstance(made, Figure):
+        with mpl.rc_context(STYLE):
+            FigureCanvasAgg(made)
+            made.savefig(first, metadata={"CreationDate": None, "Producer": None, "Creator": None})
+            made.savefig(second, metadata={"Software": None})
+    else:
+        first.write_text(made.csv(PRODUCTS[name].command), encoding="utf-8")
+        second.write_text(made.latex(), encoding="utf-8")
+    return paths
+
+
+def facts(data: Path = Path("data")) -> "Facts":
+    """Return what the report states of the studies in ``FACTS``; a study that is not complete has nothing to state."""
+    rows = {study: read(study, data) for study in FACTS}
+    return {
+        (study, *words): text
+        for study in FACTS
+        if rows[study]
+        for words, text in studies.load(STUDIES[study]).facts(rows[study]).items()
+    }
+
+
+def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
+    """Judge every claim and write the ledger, its LaTeX files into the folder ``generated``."""
+    from fiplib.reproduction import ledger
+
+    return ledger.write(ledger.evaluate(data), folder, generated, facts(data))
+
+
+# --- what the Makefile includes
+
+
+def makefile(data: Path = Path("data")) -> str:
+    """The registry as the Makefile includes it: names, files, and the sources of each product."""
+    from fiplib.reproduction import dependencies
+
+    everything = PRODUCTS | {LEDGER: ledger()}
+    common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
+    lines = [
+        f"PRODUCTS := {' '.join(PRODUCTS)}",
+        f"BAGS := {' '.join(sorted(_united(product.bags for product in everything.values())))}",
+        *(f"files_{name} := {' '.join(f'figures/{name}{suffix}' for suffix in suffixes(name))}" for name in PRODUCTS),
+    ]
+    scanned = set(common)
+    for name, product in everything.items():
+        functions = [product.address, *(["fiplib.bags:read"] if product.bags else [])]
+        if name == LEDGER:
+            functions += ["fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in FACTS)]
+        files = dict.fromkeys([*common, *dependencies.files(*functions)])
+        scanned.update(files)
+        lines.append(f"sources_{name} := {' '.join(map(str, [*files, *product.files(data)]))}")
+    sources = " ".join(sorted(map(str, scanned)))
+    # a source without a rule would stop make once it is deleted; with an empty one, this file is made again
+    return "\n".join([*lines, f".make/products.mk: {sources}", f"{sources}:", ""])
+
+
+# --- fip figures
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip figures``."""
+    parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
+    parser.add_argument("--list", action="store_true", help="list them with what they are made from")
+    parser.add_argument("--make", action="store_true", help="print the same for the Makefile")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
+    parser.add_argument(
+        "--generated", type=Path, default=Path("paper/generated"), help=f"folder for the LaTeX files of {LEDGER}"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make figures, tables and the ledger; return the exit status. Raises FipError."""
+    if options.make:
+        print(makefile(), end="")
+        return 0
+    everything = PRODUCTS | {LEDGER: ledger()}
+    if options.list:
+        for name, product in everything.items():
+            print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
+        return 0
+    if unknown := [name for name in options.names if name not in everything]:
+        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(everything)}")
+    for name in options.names or everything:
+        if name == LEDGER:
+            paths = write_ledger(options.data, options.output, options.generated)
+        else:
+            paths = write(name, make(name, options.data), options.output)
+        print("wrote", *paths, flush=True)
+    return 0

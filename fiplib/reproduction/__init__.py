@@ -1,0 +1,1 @@
+"""The numbers of the paper, measured on recorded flights: claims, figures, tables."""

@@ -1,0 +1,243 @@
+"""Every figure of the paper, from recorded flights: flights in, ``Figure`` out. Nothing is simulated here.
+
+A new figure is one function and one line in ``products.PRODUCTS``; ``fip figures NAME`` writes it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fiplib.params import STATES, Params
+from fiplib.recording import TOPICS, BagError, Flight
+from fiplib.reproduction import claims, measures
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
+
+
+def fig1_flight(flight: Flight) -> Figure:
+    """Fig. 1: the flight in space, vehicle, rod and circle, one snapshot a second over the last lap."""
+    figure = Figure(figsize=(COLUMN, 2.9))
+    axes = figure.add_axes((-0.05, -0.04, 1.02, 1.13), projection="3d")
+    time = flight.time(flight.vehicle)
+    lap = time > flight.duration - flight.metadata["reference"]["period"]
+    axes.plot(*flight.vehicle.position[lap].T, color=BLUE, label="vehicle")
+    axes.plot(*flight.pendulum.position[lap].T, color=ORANGE, label="rod's centre of mass")
+    radius, height = flight.metadata["reference"]["radius"], flight.metadata["reference"]["height"]
+    angle = np.linspace(0, 2 * np.pi, 200)
+    circle = radius * np.cos(angle), radius * np.sin(angle), np.full(200, height)
+    axes.plot(*circle, "--", color=GREY, lw=0.7, label="reference")
+    vehicle = flight.params.vehicle
+    arms = vehicle.wheelbase / 2 * np.array([[1, 1, 0], [-1, -1, 0], [0, 0, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2)
+    for index in np.nonzero(lap)[0][:: round(flight.params.piloting.mocap_rate)]:
+        seat, com = flight.vehicle.position[index], flight.pendulum.position[index]
+        tip = seat + (com - seat) * flight.params.pendulum.length / np.linalg.norm(com - seat)
+        axes.plot(*np.array([seat, tip]).T, color="black", lw=0.8)
+        axes.plot(*(seat + Rotation.from_quat(flight.vehicle.orientation[index]).apply(arms)).T, color=BLUE, lw=1.1)
+    axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", zlabel="$z$ (m)", xlim=(-1, 1), ylim=(-1, 1), zlim=(1, 2.4))
+    axes.set(xticks=(-1, 0, 1), yticks=(-1, 0, 1), zticks=(1.0, 1.5, 2.0))
+    axes.set_box_aspect((2, 2, 1.4), zoom=0.95)
+    axes.view_init(elev=18, azim=-62)
+    axes.tick_params(pad=-2)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.labelpad = -6
+        axis.pane.set_facecolor("white")
+        axis._axinfo["grid"]["linewidth"] = 0.3
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=3)
+    _origin(figure, flight, y=0.99)
+    return figure
+
+
+def fig2_vehicle() -> Figure:
+    """Fig. 2: vehicle and rod to scale, with the parameters of Table 1; the vehicle again, enlarged."""
+    params = Params()
+    vehicle, rod = params.vehicle, params.pendulum
+    figure = Figure(figsize=(COLUMN, 3.3))
+    whole, close = figure.add_axes((0.0, 0.05, 0.45, 0.89)), figure.add_axes((0.45, 0.05, 0.55, 0.89))
+    for axes in (whole, close):
+        _draw_vehicle(axes, params)
+        axes.set_aspect("equal")
+        axes.axis("off")
+    top = vehicle.seat_height + rod.length
+    whole.plot(0, vehicle.seat_height + rod.length / 2, "o", ms=4, mfc="white", mec="black", mew=0.8)
+    whole.set(xlim=(-0.3, 0.36), ylim=(-0.06, top + 0.04))
+    _dimension(whole, (0.3, vehicle.seat_height), (0.3, top), f"$l$ = {rod.length:g} m", rotation=90)
+    com = vehicle.seat_height, vehicle.seat_height + rod.length / 2
+    _dimension(whole, (0.13, com[0]), (0.13, com[1]), "$l/2$", rotation=90)
+    whole.text(-0.04, com[1], f"$m_p$ =\n{rod.mass:g} kg", ha="right", va="center")
+    whole.set_title("to scale", pad=2)
+
+    close.set(xlim=(-0.15, 0.18), ylim=(-0.19, 0.33))
+    half = vehicle.wheelbase / 2
+    _dimension(close, (0.155, 0.0), (0.155, vehicle.seat_height), f"{100 * vehicle.seat_height:g} cm", rotation=90)
+    _dimension(close, (-half, -0.055), (half, -0.055), f"{100 * vehicle.wheelbase:g} cm*")
+    close.text(0, -0.1, f"$m$ = {vehicle.mass:g} kg", ha="center", va="top")
+    close.text(0, -0.128, rf"$|\omega| \leq$ {np.degrees(vehicle.max_body_rate):g} deg/s", ha="center", va="top")
+    close.set_title("vehicle, enlarged", pad=2)
+    figure.text(0.02, 0.015, "* our choice, drawn only; the rest: Table 1 and section 3 of the paper", fontsize=6)
+    return figure
+
+
+def fig3_pushes(flight: Flight) -> Figure:
+    """Fig. 3: three pushes in hover. The dashed lines are the paper's largest deviation (D2)."""
+    figure, panels = _panels(flight, 4, 3.9)
+    _plot_states(panels[0], flight, ("x", "y"), "position", scale=100, unit="cm")
+    _plot_states(panels[1], flight, ("a", "b"), "pendulum", scale=100, unit="cm")
+    _band(panels[1], 100 * claims.PAPER["D2"], "paper's largest")
+    _plot_states(panels[2], flight, ("phi", "theta"), "tilt", scale=np.degrees(1), unit="deg")
+    _plot_rates(panels[3], flight)
+    for push in flight.metadata["pushes"]:
+        for axes in panels:
+            axes.axvline(push["start"], color=GREY, lw=0.6, ls=":")
+    return figure
+
+
+def fig4_circle(flight: Flight) -> Figure:
+    """Fig. 4: tracking of the 0.8 m circle. The dashed lines are the paper's largest deviation (C1)."""
+    figure, panels = _panels(flight, 4, 3.9)
+    for axes, name in zip(panels, "xy", strict=False):
+        _plot_tracking(axes, flight, name)
+    _plot_errors(panels[2], flight)
+    _plot_states(panels[3], flight, ("a", "b"), "pendulum", scale=100, unit="cm")
+    _band(panels[3], 100 * claims.PAPER["C1"], "paper's largest")
+    return figure
+
+
+def fig5_estimation(flight: Flight) -> Figure:
+    """Fig. 5: tracking of the 0.4 m circle while the length is estimated from l0 = 1.4 m."""
+    figure, panels = _panels(flight, 4, 4.3)
+    for axes, name in zip(panels, "xy", strict=False):
+        _plot_tracking(axes, flight, name)
+    _plot_errors(panels[2], flight)
+    time, (used, estimate, deviation) = _lengths(flight)
+    axes = panels[3]
+    axes.fill_between(
+        time[1:], *(estimate[1:] + sign * 2 * deviation[1:] for sign in (-1, 1)), color=BLUE, alpha=0.15, lw=0,
+        label=r"GA run $\pm\,2\sigma$",
+    )  # fmt: skip
+    axes.plot(time, estimate, ".", ms=2, color=BLUE, label="GA run")
+    axes.step(time, used, where="post", color=ORANGE, label="used")
+    axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
+    axes.axvline(claims.PAPER["G3.time"], color=GREY, ls="--", lw=0.7, label="paper converged")
+    axes.set(ylabel="length (m)", ylim=(0.75, 1.75))
+    axes.legend(loc="upper right", ncols=2)
+    return figure
+
+
+def fig6_convergence(*flights: Flight) -> Figure:
+    """Fig. 6: the used length from three starts; the crosses are the paper's end points (its Table 3)."""
+    figure, (axes,) = _panels(flights[0], 1, 2.4)
+    _origin(figure, *flights)
+    for flight, claim, colour in zip(flights, ("G1", "G2", "G3"), (BLUE, ORANGE, GREEN), strict=True):
+        time, (used, *_) = _lengths(flight)
+        axes.step(
+            np.r_[time, flight.duration], np.r_[used, used[-1]], where="post", color=colour,
+            label=f"$l_0$ = {used[0]:g} m",
+        )  # fmt: skip
+        axes.plot(claims.PAPER[f"{claim}.time"], claims.PAPER[f"{claim}.length"], "X", color=colour, mec="black",
+                  mew=0.4, ms=5.5, zorder=3)  # fmt: skip
+    axes.plot([], [], "X", color="white", mec="black", mew=0.6, ms=5.5, label="paper, same colour")
+    axes.axhline(measures.true_length(flights[0]), color="black", lw=0.6)
+    axes.set(ylabel="length used, $l$ (m)", xlabel="time (s)")
+    axes.legend(ncols=2, loc="upper right")
+    return figure
+
+
+# --- pieces shared by the figures
+
+
+def _panels(flight: Flight, count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
+    """Panels over a common time axis; the first carries the origin of the data."""
+    figure = Figure(figsize=(COLUMN, height), layout="constrained")
+    panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlim(0, flight.duration)
+    figure.align_ylabels(panels)
+    _origin(figure, flight)
+    return figure, panels
+
+
+def _origin(figure: Figure, *flights: Flight, y: float | None = None) -> None:
+    origins = " and ".join(sorted({flight.metadata["origin"] for flight in flights}))
+    origin(figure, f"{origins}, {', '.join(flight.path.name for flight in flights)}", y)
+
+
+def _plot_states(
+    axes: Axes, flight: Flight, names: tuple[str, str], what: str, scale: float = 1.0, unit: str = "m"
+) -> None:
+    labels = {signal.name: signal.label for signal in STATES}
+    time = flight.time(flight.state)
+    for name, colour in zip(names, (BLUE, ORANGE), strict=True):
+        axes.plot(time, scale * flight.state.column(name), color=colour, label=labels[name])
+    axes.set_ylabel(f"{what} ({unit})")
+    axes.legend(loc="upper right", ncols=2)
+
+
+def _plot_tracking(axes: Axes, flight: Flight, name: str) -> None:
+    axes.plot(flight.time(flight.reference), flight.reference.column(name), "--", color=GREY, lw=0.8, label="reference")
+    axes.plot(flight.time(flight.state), flight.state.column(name), color=BLUE, label="flown")
+    axes.set_ylabel(f"${name}$ (m)")
+    top = 1.9 * np.abs(flight.reference.column(name)).max()
+    axes.set_ylim(-top / 1.5, top)
+    axes.legend(loc="upper right", ncols=2)
+
+
+def _plot_errors(axes: Axes, flight: Flight) -> None:
+    for name, colour in zip("xy", (BLUE, ORANGE), strict=True):
+        error = flight.state.column(name) - flight.reference.column(name)
+        axes.plot(flight.time(flight.state), 100 * error, color=colour, label=f"${name} - {name}_\\mathrm{{ref}}$")
+    axes.set_ylabel("error (cm)")
+    largest = 100 * np.abs(measures.tracking_error(flight)).max()
+    axes.set_ylim(-1.25 * largest, 2.1 * largest)
+    axes.legend(loc="upper right", ncols=2)
+
+
+def _plot_rates(axes: Axes, flight: Flight) -> None:
+    time = flight.time(flight.command)
+    for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
+        axes.plot(time, np.degrees(flight.command.column(name)), color=colour, lw=0.4, alpha=0.8, label=label)
+    axes.set_ylabel("rate (deg/s)")
+    limit = np.degrees(flight.params.vehicle.max_body_rate)
+    for side in (-limit, limit):
+        axes.axhline(side, color="black", lw=0.5, ls="--")
+    axes.set_ylim(-1.2 * limit, 1.9 * limit)
+    for line in axes.legend(loc="upper right", ncols=2).get_lines():
+        line.set(linewidth=0.9, alpha=1.0)  # the noise is drawn thin, its key need not be
+
+
+def _band(axes: Axes, value: float, label: str) -> None:
+    """Draw the paper's largest magnitude on both sides, and leave room above for the legend."""
+    for side in (-value, value):
+        axes.axhline(side, color="black", lw=0.6, ls="--", label=label if side > 0 else None)
+    axes.set_ylim(-1.25 * value, 2.1 * value)
+    axes.legend(loc="upper right", ncols=3)
+
+
+def _lengths(flight: Flight) -> tuple[NDArray, NDArray]:
+    """Times (n,) s and the columns (3, n) used, estimate, standard deviation of the recorded lengths."""
+    if flight.length is None:
+        raise BagError(f"{flight.path}: no topic {TOPICS['length']}: this figure needs a flight with an estimator")
+    return flight.time(flight.length), flight.length.values.T
+
+
+def _draw_vehicle(axes: Axes, params: Params) -> None:
+    """Side view of vehicle and rod; origin at the frame's centre, metres."""
+    vehicle = params.vehicle
+    half, radius, seat = vehicle.wheelbase / 2, vehicle.propeller_diameter / 2, vehicle.seat_height
+    axes.add_patch(Rectangle((-half, -0.006), 2 * half, 0.012, fc=GREY, ec="black", lw=0.5))
+    axes.add_patch(Rectangle((-0.02, 0.006), 0.04, seat - 0.006, fc="#DDDDDD", ec="black", lw=0.5))
+    for side in (-half, half):
+        axes.add_patch(Rectangle((side - 0.012, 0.006), 0.024, 0.016, fc=GREY, ec="black", lw=0.5))
+        axes.plot([side - radius, side + radius], [0.026, 0.026], color=BLUE, lw=1.6, solid_capstyle="round")
+    axes.plot([0, 0], [seat, seat + params.pendulum.length], color="black", lw=1.6, solid_capstyle="round")
+
+
+def _dimension(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str, rotation: float = 0
+) -> None:
+    axes.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.6, "shrinkA": 0, "shrinkB": 0})
+    middle = np.mean([start, end], axis=0)
+    axes.text(*middle, text, ha="center", va="center", rotation=rotation, bbox={"fc": "white", "ec": "none", "pad": 1})

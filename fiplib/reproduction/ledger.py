@@ -1,0 +1,162 @@
+"""The ledger as files: every claim judged on our flights, as table, text, LaTeX and macros of the report."""
+
+import argparse
+import csv
+import io
+import math
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import NamedTuple
+
+from fiplib.params import Params
+from fiplib.recording import Flight
+from fiplib.reproduction.claims import BY_ID, CLAIMS, Claim, Verdict
+from fiplib.reproduction.sources import Quantities, Rows
+from fiplib.reproduction.tables import Facts
+
+
+class Row(NamedTuple):
+    """A row of the ledger as text; ``facts`` are numbers that only the report prints."""
+
+    id: str
+    claim: str
+    paper: str
+    ours: str
+    unit: str
+    reading: str
+    verdict: str
+    bag: str
+    facts: Mapping[str, str]
+
+
+def evaluate(data: Path = Path("data")) -> list[Row]:
+    """Judge every claim on its sources in ``data`` and ``benchmarks/`` beside it. Raises BagError and JournalError."""
+    read = {tuple(claim.names): claim for claim in CLAIMS}
+    sources = {names: claim.read(data) for names, claim in read.items()}
+    return [judged(claim, sources[tuple(claim.names)]) for claim in CLAIMS]
+
+
+def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
+    """The row of one claim, from what it is read from."""
+    found = claim.judge(claim.paper, *sources)
+    paper, ours = (
+        "" if value is None or math.isnan(value) else f"{value:.{claim.decimals}f}"
+        for value in (claim.paper, found.value)
+    )
+    studied = {"simulated" for source in sources if isinstance(source, list)}
+    origins = sorted(studied | {source.metadata["origin"] for source in sources if isinstance(source, Flight)})
+    bag = ", ".join(claim.names) + (f" ({' and '.join(origins)})" if origins else "")
+    facts = {name: f"{value:.3g}" for name, value in found.facts.items()}
+    return Row(claim.id, claim.text, paper, ours, claim.unit, found.reading, str(found.verdict), bag, facts)
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag, command."""
+    text = io.StringIO()
+    lines = [(*Row._fields[:-1], "command"), *((*row[:-1], BY_ID[row.id].command) for row in rows)]
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()
+
+
+WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
+"""Columns of the ledger in a terminal: 148 characters with two between them."""
+
+
+def as_text(rows: Sequence[Row]) -> str:
+    """The ledger to read in a terminal, long texts wrapped."""
+
+    def lines(cells: Sequence[str]) -> list[str]:
+        wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, WIDTHS.values(), strict=True)]
+        return [
+            "  ".join(
+                part.rjust(width) if name in ("paper", "ours") else part.ljust(width)
+                for part, (name, width) in zip(parts, WIDTHS.items(), strict=True)
+            ).rstrip()
+            for parts in zip_longest(*wrapped, fillvalue="")
+        ]
+
+    counts = ", ".join(f"{count} {name}" for name, count in counted(rows).items())
+    text = [f"What the paper claims and what we get, {len(rows)} rows:", f"{counts}.", "", *lines(list(WIDTHS))]
+    text.append("-" * len("  ".join("-" * width for width in WIDTHS.values())))
+    for row in rows:
+        reading = f"{row.reading}." + (f" [{row.bag}]" if row.bag else "")
+        text += [*lines([*(getattr(row, name) for name in list(WIDTHS)[:-1]), reading]), ""]
+    return "\n".join(text)
+
+
+def as_latex(rows: Sequence[Row]) -> str:
+    """The ledger as a booktabs tabular of the page's width; the reasons stay in the CSV."""
+    lines = ["Row & Claim of the paper & Paper & Ours & Unit & Verdict"]
+    for row in rows:
+        symbols = re.sub(r"\b([abxyl])(0?)\b", lambda found: f"${found[1]}{'_0' if found[2] else ''}$", row.claim)
+        numbers = (number.replace("-", "$-$") or "--" for number in (row.paper, row.ours))
+        lines.append(" & ".join((row.id, symbols, *numbers, "" if row.unit == "1" else row.unit, row.verdict)))
+    head, *body = (rf"{line} \\" for line in lines)
+    top, bottom = r"\begin{tabular}{@{}llrrll@{}}" + "\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
+    return "\n".join([top, head, r"\midrule", *body, bottom])
+
+
+def counted(rows: Sequence[Row]) -> dict[str, int]:
+    """How many rows have each of the verdicts."""
+    count = Counter(row.verdict for row in rows)
+    return {str(kind): count[kind] for kind in Verdict}
+
+
+def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:
+    """Every number of the report by name: Paper, Ours, Verdict + row; Fact + row + name; Count + name of a verdict;
+    Param + group + field for each finite scalar parameter, with a few derived ones; Study + names of ``facts``."""
+    values = {
+        (group, name): value
+        for group, fields in params.to_dict().items()
+        for name, value in fields.items()
+        if type(value) in (int, float)
+    }
+    values["pendulum", "inertia_factor"] = params.pendulum.inertia_factor
+    values["control", "step"] = params.control.step
+    values["vehicle", "max_body_rate_degrees"] = math.degrees(params.vehicle.max_body_rate)
+    for name in ("mocap_latency", "rate_delay", "rate_lag"):
+        values["simulation", f"{name}_ms"] = round(1e3 * getattr(params.simulation, name), 2)
+    named = {macro("Param", *words): f"{value:.4g}" for words, value in values.items()}
+    for row in rows:
+        named |= {macro(kind, row.id): getattr(row, kind.lower()) for kind in ("Paper", "Ours", "Verdict")}
+        named |= {macro("Fact", row.id, name): text for name, text in row.facts.items()}
+    named |= {macro("Count", kind): str(count) for kind, count in {"rows": len(rows), **counted(rows)}.items()}
+    named |= {macro("Study", *words): text for words, text in facts.items()}
+    return {name: text for name, text in named.items() if text}
+
+
+def macro(*words: str) -> str:
+    """A name of letters only, as LaTeX wants it: ("Ours", "G1.time") -> OursGOneTime."""
+    digits = "Zero One Two Three Four Five Six Seven Eight Nine".split()
+    parts = re.findall(r"[A-Za-z]+|\d", " ".join(words))
+    return "".join(digits[int(part)] if part.isdigit() else part[0].upper() + part[1:] for part in parts)
+
+
+def write(rows: Sequence[Row], figures: Path, generated: Path, facts: Facts | None = None) -> list[Path]:
+    """Write claims.csv and claims.txt into ``figures``, numbers.tex and claims-table.tex into ``generated``."""
+    numbers = [f"\\newcommand{{\\{name}}}{{{text}}}\n" for name, text in macros(rows, Params(), facts or {}).items()]
+    contents = {
+        figures / "claims.csv": as_csv(rows),
+        figures / "claims.txt": as_text(rows),
+        generated / "numbers.tex": "".join(numbers),
+        generated / "claims-table.tex": as_latex(rows),
+    }
+    for path, text in contents.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", newline="\n")
+    return list(contents)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``fip claims``."""
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge every claim and print the ledger; return the exit status. Raises BagError and JournalError."""
+    print(as_text(evaluate(options.data)))
+    return 0

@@ -1,0 +1,95 @@
+"""The sources of a figure, table or claim: bags, and the finished tables of studies and benchmarks, read from disk."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fiplib.params import FipError
+
+if TYPE_CHECKING:
+    from fiplib.recording import Flight
+
+Rows = list[dict[str, float | str]]
+"""A finished table of a study: one dictionary per case, numbers as float."""
+
+Quantities = dict[str, float]
+"""A table of ``benchmarks/``: numbers by name."""
+
+BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py", "deadlines": "bench_deadlines.py"}
+"""The tables of ``benchmarks/``, each with the script there that writes it when called with ``--save``."""
+
+
+class JournalError(FipError):
+    """A damaged table on disk."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """Names of what something is made from: bags, studies, tables of ``benchmarks/``."""
+
+    bags: tuple[str, ...] = ()
+    studies: tuple[str, ...] = ()
+    benchmarks: tuple[str, ...] = ()
+
+    @property
+    def command(self) -> str:
+        """The shell command that computes it from the beginning: flights, studies and measurements first."""
+        steps = ["make bags"] if self.bags else []
+        steps += [f"make sweep STUDIES='{' '.join(self.studies)}'"] if self.studies else []
+        steps += [f"python benchmarks/{BENCHMARKS[table]} --save" for table in self.benchmarks]
+        return "; ".join([*steps, "make figures"])
+
+    @property
+    def names(self) -> list[str]:
+        """What the ledger calls them."""
+        tables = [f"sweeps/{study}" for study in self.studies] + [f"{table}.csv" for table in self.benchmarks]
+        return [*self.bags, *tables]
+
+    def files(self, data: Path = Path("data")) -> list[Path]:
+        """Every file that is read; ``benchmarks/`` lies beside the folder ``data``."""
+        found = [data / bag / file for bag in self.bags for file in (f"{bag}.mcap", "metadata.yaml")]
+        found += [data / "sweeps" / f"{study}.csv" for study in self.studies]
+        return found + [data.parent / "benchmarks" / f"{table}.csv" for table in self.benchmarks]
+
+    def read(self, data: Path = Path("data")) -> "list[Flight | Rows | Quantities]":
+        """Read all of it: bags, then studies, then benchmarks, in order; a table that does not exist yet is empty.
+
+        Raises:
+            BagError, JournalError: a bag is missing, or something is damaged.
+        """
+        from fiplib import bags  # here: the registry need not wait for NumPy
+
+        flights = [bags.read(data / bag) for bag in self.bags]
+        tables = [read(study, data) for study in self.studies]
+        return flights + tables + [quantities(data.parent / "benchmarks" / f"{name}.csv") for name in self.benchmarks]
+
+
+def read(study: str, data: Path = Path("data")) -> Rows:
+    """Return the finished table of a study; empty where ``make sweep`` has not completed it yet."""
+    path = data / "sweeps" / f"{study}.csv"
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{column: _number(value) for column, value in row.items()} for row in csv.DictReader(file)]
+
+
+def _number(value: str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
+
+def quantities(path: Path) -> Quantities:
+    """Return the numbers of a benchmark's table of two columns; empty if there is no such file. Raises JournalError."""
+    if not path.exists():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            next(lines := csv.reader(file))
+            return {name: float(value) for name, value in lines}
+    except (StopIteration, ValueError) as error:
+        raise JournalError(
+            f"{path}: needs a header and rows of a name and a number ({error}); measure again"
+        ) from error

@@ -1,0 +1,380 @@
+"""Faults of poses, solver, estimate, way and operator: flights in virtual time, the same rows every time."""
+
+import math
+import tempfile
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib import bags
+from fiplib.estimators.base import Estimate
+from fiplib.flight.failsafe import Guard
+from fiplib.flight.limits import Limits, recorded
+from fiplib.flight.links.simulated import VirtualLink
+from fiplib.flight.loop import FlightLoop
+from fiplib.flight.operator_input import OperatorInput
+from fiplib.flight.sender import PATIENCE, DeadMan
+from fiplib.flight.setpoint import Mode, Setpoint, disarmed
+from fiplib.mpc import Solution
+from fiplib.params import NANO, Params
+from fiplib.pilot import Circle, Hover, Pilot, Tick
+from fiplib.recording import EPOCH, Measurement
+from fiplib.simulate import Push, Scenario, SimulatedEstimator
+from fiplib.studies.faults import injection as inject
+from fiplib.studies.faults import verdict
+from fiplib.studies.faults.injection import Change, EstimateFault, FrameFault, SolverFault
+from fiplib.studies.faults.perfect_information import NEVER, balances
+from fiplib.studies.faults.verdict import Commands, Fault
+
+LIMITS = Limits()
+"""Of the failsafe and the command sender, in every flight."""
+START = 3.0
+"""Faults begin at this time after take-off, s."""
+POSES = "the limit of 100 ms without poses"
+GONE = "the limit of 500 ms without poses"
+HOVER = Scenario("fault", "hover, pushed 3.5 s after the fault", 9.0, Hover(), (Push(START + 3.5, (0.004, 0.0)),))
+PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
+CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.5, ramp=2.0), pushes=(), description="circle of 0.8 m")
+ESTIMATED = Scenario(
+    "fault",
+    "circle of 0.4 m, length estimated from 1.2 m",
+    10.0,
+    Circle(0.4, 8.0),
+    params=Params().replace(piloting__initial_length=1.2, piloting__estimate=True),
+)
+PRESCRIBED = replace(CIRCLE, params=Params().replace(estimation__median_length=1))
+"""The circle on which the pilot is given a length, without the median of its estimates."""
+
+
+@dataclass(frozen=True)
+class VirtualFault(Fault):
+    """A fault that is injected into a flight in virtual time, from ``START`` on.
+
+    Attributes:
+        scenario: what is flown.
+        frames: makes the fault of motion capture anew for each flight, from a generator.
+        solver: the fault of the solver, for so many ``calls`` of it.
+        estimates: the fault of the estimates.
+        aborts: when the operator asks to land, and again for motors off, s after take-off.
+        blind: (start, end) in s after take-off between which no pose arrives that can be used.
+        deaf: (start, end) in s after take-off between which no command gets through.
+    """
+
+    scenario: Scenario = HOVER
+    frames: Callable[[np.random.Generator], FrameFault] | None = None
+    solver: SolverFault | None = None
+    calls: float = math.inf
+    estimates: EstimateFault | None = None
+    aborts: tuple[float, ...] = ()
+    blind: tuple[float, float] = NEVER
+    deaf: tuple[float, float] = NEVER
+
+    def fly(self) -> dict[str, Any]:
+        scenario, params, error = self.scenario, self.scenario.params, ""
+        frames = self.frames(np.random.default_rng(scenario.seed + 100)) if self.frames else None
+        link = FaultyLink(scenario, frames, self.deaf)
+        guard = Guard(FaultyPilot(link, self), LIMITS)
+        estimator = FaultyEstimator(link, self) if params.piloting.estimate else None
+        with tempfile.TemporaryDirectory() as folder:
+            bag = Path(folder) / "bag"
+            with bags.BagRecorder(bag, {**scenario.metadata(), "params": recorded(params, LIMITS)}) as recorder:
+                flight = FlightLoop(scenario, link, guard, recorder, estimator, Aborting(link, self.aborts))
+                try:
+                    flight.run()
+                except Exception as raised:
+                    error = f"{type(raised).__name__}: {raised}"
+                link.leave()
+            return self._judged(link, guard, error, verdict.state_of(bag))
+
+    def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
+        scenario, params = self.scenario, self.scenario.params
+        took_off = next(now for now, setpoint in link.sent if setpoint.armed)
+        commands = Commands.of([entry for entry in link.sent if entry[0] >= took_off], params, LIMITS)
+        path = [entry for entry in guard.transitions if entry.stamp > took_off]
+        ended = next((entry for entry in path if entry.reason == "end of the scenario"), None)
+        levelled = next((entry for entry in reversed(path) if entry.before is not Mode.LEVEL), None)
+        last = ended or levelled
+        final = last.stamp if last else link.sent[-1][0]
+        offsets = np.abs([truth[[4, 6]] for now, truth in link.truths if took_off <= now <= final])
+        fallen = (np.hypot(*offsets.T) > 0.5 * params.pendulum.length * math.sin(math.radians(60.0))).any()
+        balanced = ended is not None and ended.before is not Mode.LEVEL and not fallen
+        off = commands.disarming[0] if len(commands.disarming) else math.inf
+        stopped = next((truth for now, truth in link.truths if now >= off), link.truths[-1][1])
+        perfect, gaps = balances(scenario), None
+        if (self.blind, self.deaf) != (NEVER, NEVER):
+            gaps = balances(scenario, self.blind, self.deaf, dict(link.sent) if self.deaf != NEVER else None)
+        safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
+        return self.row(
+            modes=verdict.modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
+            vehicle=verdict.BALANCED if balanced else verdict.given_up(stopped, LIMITS.safety.floor),
+            ended=levelled.reason if levelled and not balanced else "",
+            largest_a_cm=f"{100 * offsets[:, 0].max():.1f}",
+            largest_b_cm=f"{100 * offsets[:, 1].max():.1f}",
+            commands=commands.count,
+            not_finite=commands.not_finite,
+            out_of_bounds=commands.out_of_bounds + link.kept_back,
+            longest_gap_ms=f"{commands.longest_gap:.1f}",
+            disarm_frames=len(commands.disarming),
+            disarm_s=f"{commands.disarm_seconds:.2f}",
+            uncaught_exception=error or "no",
+            bag=bag,
+            perfect_information=verdict.BALANCED if perfect else "rod lost",
+            exact_with_same_gaps="" if gaps is None else verdict.BALANCED if gaps else "rod lost",
+            verdict=verdict.judge(
+                safe, balanced, verdict.tilt_of(stopped) < verdict.LEVEL, perfect, gaps, self.demanded
+            ),
+        )
+
+
+class FaultyLink(VirtualLink):
+    """The simulated vehicle behind damaged poses, with the sender's rules in virtual time on the way out.
+
+    Attributes:
+        sent: (time in ns, setpoint) of all that left the sender.
+        truths: (time in ns, true state (11,)) at each frame.
+    """
+
+    def __init__(self, scenario: Scenario, frames: FrameFault | None, deaf: tuple[float, float]) -> None:
+        super().__init__(scenario)
+        self._damage, self._deaf, self._period = frames, deaf, NANO / LIMITS.safety.send_rate
+        self._arrived: deque[Measurement] = deque()
+        self._man, self._due = DeadMan(scenario.params, LIMITS), math.inf
+        self.sent: list[tuple[int, Setpoint]] = []
+        self.truths: list[tuple[int, NDArray]] = []
+
+    @property
+    def at(self) -> float:
+        """s since take-off; -1 before."""
+        return -1.0 if self.vehicle.flown is None else self.vehicle.flown / self.vehicle.rate
+
+    @property
+    def kept_back(self) -> int:
+        """Setpoints that the sender refused or cut to bounds: the failsafe must never make one."""
+        return self._man.rejected + self._man.clamped
+
+    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
+        left = math.ceil(timeout * self.vehicle.rate - 1e-6)
+        while not self._arrived:
+            if left == 0:
+                return None
+            left -= 1
+            self._frame()
+        return self.now(), self._arrived.popleft()
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass while the pilot is busy: frames queue, the sender goes on."""
+        for _ in range(round(seconds * self.vehicle.rate)):
+            self._frame()
+
+    def send(self, setpoint: Setpoint) -> None:
+        self._man.hear(self.now(), setpoint)
+        self._out()
+        self._due = self.now() + round(PATIENCE * self._period)
+
+    def fault(self) -> str | None:
+        return self._man.fault
+
+    def leave(self) -> None:
+        """End as ``sender.Sender.close`` does."""
+        self._man.hear(self.now(), disarmed(self.now()))
+        self.elapse(LIMITS.safety.leave_time)
+
+    def _frame(self) -> None:
+        came = super().receive(0.0)
+        assert came is not None and self.truth is not None
+        self.truths.append((self.now(), self.truth))
+        self._arrived.extend(self._damage(self.at, came[1]) if self._damage and self.at >= 0.0 else [came[1]])
+        if self.now() >= self._due:
+            self._due += round(self._period)
+            self._out()
+
+    def _out(self) -> None:
+        setpoint = self._man.due(self.now())
+        self.sent.append((self.now(), setpoint))
+        if not self._deaf[0] <= self.at < self._deaf[1]:
+            super().send(setpoint)
+
+
+class FaultyPilot(Pilot):
+    """The pilot with a faulty solver."""
+
+    def __init__(self, link: FaultyLink, fault: VirtualFault) -> None:
+        super().__init__(fault.scenario.params, fault.scenario.reference)
+        self._link, self._fault, self._left = link, fault.solver, fault.calls
+
+    def solve(self, tick: Tick) -> Solution:
+        if self._fault is None or self._link.at < START or self._left <= 0:
+            return super().solve(tick)
+        self._left -= 1
+        return self._fault(super().solve, tick, self._link.elapse)
+
+
+class FaultyEstimator(SimulatedEstimator):
+    """The simulated estimator with its answers changed on the way."""
+
+    def __init__(self, link: FaultyLink, fault: VirtualFault) -> None:
+        super().__init__(fault.scenario.params, fault.scenario.seed)
+        self._link, self._fault, self._count = link, fault.estimates, 0
+
+    def deliver(self, now: int, window: Any) -> Estimate | None:
+        answer = super().deliver(now, window)
+        if answer is None or self._fault is None or self._link.at < START:
+            return answer
+        self._count += 1
+        return self._fault(answer, self._count)
+
+
+class Aborting(OperatorInput):
+    """An operator who asks to land at the first time given, and for motors off at the second."""
+
+    def __init__(self, link: FaultyLink, times: Sequence[float]) -> None:
+        super().__init__()
+        self._link, self._times = link, times
+
+    def look(self, ready: bool) -> None:
+        passed = sum(self._link.at >= at for at in self._times)
+        self.reason, self.cut = "operator abort" if passed else None, passed > 1
+
+
+# --- the faults
+
+
+def _poses(
+    what: str, frames: Callable[[np.random.Generator], FrameFault], scenario: Scenario = HOVER, **more: Any
+) -> VirtualFault:
+    return VirtualFault("poses", what, scenario, frames, **more)
+
+
+def _change(
+    what: str,
+    made: Callable[[np.random.Generator], Change],
+    seconds: float,
+    every: int = 1,
+    blind: bool = False,
+) -> VirtualFault:
+    """Frames changed from ``START`` on for so many seconds; ``blind``: none that can be used arrives meanwhile."""
+    gap = (START, START + seconds) if blind else NEVER
+    return _poses(what, lambda rng: inject.changed(made(rng), START, seconds, every), blind=gap)
+
+
+def _drop_out(seconds: float, scenario: Scenario = HOVER, words: str = "") -> VirtualFault:
+    what = f"no poses for {_duration(seconds)}{words}"
+    rule = "" if seconds <= 0.1 else POSES if seconds <= 0.5 else GONE
+    frames, blind = lambda rng: inject.dropped(START, seconds), (START, START + seconds)
+    return _poses(what, frames, scenario, blind=blind, demanded=rule)
+
+
+def _duration(seconds: float) -> str:
+    return f"{1e3 * seconds:g} ms" if seconds < 1.0 else f"{seconds:g} s"
+
+
+def _solver(what: str, fault: SolverFault, calls: float = 1, **more: Any) -> VirtualFault:
+    return VirtualFault("solver", what, more.pop("scenario", HOVER), solver=fault, calls=calls, **more)
+
+
+def _estimates(what: str, fault: EstimateFault) -> VirtualFault:
+    return VirtualFault("estimator", what, ESTIMATED, estimates=fault)
+
+
+def _prescribed(what: str, length: float) -> VirtualFault:
+    return VirtualFault("estimator", what, replace(PRESCRIBED, told_lengths=((START, length),)))
+
+
+def _deaf(what: str, seconds: float, scenario: Scenario = HOVER) -> VirtualFault:
+    return VirtualFault("link", what, scenario, deaf=(START, START + seconds))
+
+
+ALWAYS = 1e9
+"""From then on, s."""
+VIRTUAL_FAULTS = {
+    **{
+        f"drop-out-{_duration(seconds).replace(' ', '')}": _drop_out(seconds)
+        for seconds in (0.01, 0.03, 0.08, 0.15, 0.3, 0.45, 1.0, 5.0)
+    },
+    "drop-out-80ms-pushed": _drop_out(0.08, PUSHED, ", pushed meanwhile"),
+    "drop-out-150ms-pushed": _drop_out(0.15, PUSHED, ", pushed meanwhile"),
+    "drop-out-300ms-pushed": _drop_out(0.3, PUSHED, ", pushed meanwhile"),
+    "drop-out-150ms-circle": _drop_out(0.15, CIRCLE, ", on the circle"),
+    "frames-thinned": _poses("half of all frames lost, at random", lambda rng: inject.thinned(START, 0.5, rng)),
+    "bursts-20ms": _poses("poses in bursts every 20 ms, for 2 s", lambda rng: inject.bursts(START, 2.0, 0.02)),
+    "bursts-60ms": _poses("poses in bursts every 60 ms, for 1 s", lambda rng: inject.bursts(START, 1.0, 0.06)),
+    "bursts-200ms": _poses("a burst after 200 ms", lambda rng: inject.bursts(START, 0.2, 0.2)),
+    "delay-20ms": _poses("poses 20 ms later, for 2 s", lambda rng: inject.late(START, 2.0, 5)),
+    "delay-50ms": _poses("poses 50 ms later, for 2 s", lambda rng: inject.late(START, 2.0, 12)),
+    "stamps-jitter": _change("stamps off by up to 150 ms, for 3 s", lambda rng: inject.jittered(0.15, rng), 3.0),
+    "stamps-jitter-5ms": _change("stamps off by up to 5 ms, for 3 s", lambda rng: inject.jittered(5e-3, rng), 3.0),
+    "stamps-duplicated": _change("two frames share each stamp, for 3 s", lambda rng: inject.coarse(1 / 120), 3.0),
+    "stamps-constant": _change("one stamp for all frames, for 1 s", lambda rng: inject.stamped(EPOCH + NANO), 1.0),
+    "frames-reversed": _poses("each three frames in reverse order, for 2 s",
+                              lambda rng: inject.turned_about(START, 2.0, 3)),
+    "clock-forward": _change("stamps' clock steps 2 s forward for good", lambda rng: inject.stepped(2.0), ALWAYS),
+    "clock-backward": _change("stamps' clock steps 3 s backward for good", lambda rng: inject.stepped(-3.0), ALWAYS),
+    "clock-forward-30ms": _change("stamps' clock steps 30 ms forward", lambda rng: inject.stepped(0.03), ALWAYS),
+    "clock-backward-30ms": _change("stamps' clock steps 30 ms backward", lambda rng: inject.stepped(-0.03), ALWAYS),
+    "stamps-zero": _change("stamps of zero for 1 s", lambda rng: inject.stamped(0), 1.0),
+    "nan-once": _change("vehicle at NaN in one frame", lambda rng: inject.without("vehicle"), 0.0),
+    "nan-every-other": _change("rod at NaN in every other frame", lambda rng: inject.without("pendulum"), 3.0, 2),
+    "nan-80ms": _change("vehicle at NaN for 80 ms", lambda rng: inject.without("vehicle"), 0.08, blind=True),
+    "infinite": _change("rod at infinity for 80 ms", lambda rng: inject.without("pendulum", math.inf), 0.08,
+                        blind=True),
+    "outlier-once": _change("vehicle off by 0.5 m in one frame", lambda rng: inject.moved("vehicle", 0.5), 0.0),
+    "outlier-rod-once": _change("rod off by 0.5 m in one frame", lambda rng: inject.moved("pendulum", 0.0, 0.5), 0.0),
+    "outlier-tenth": _change("vehicle off by 0.5 m in every tenth frame, 3 s",
+                             lambda rng: inject.moved("vehicle", 0.5), 3.0, 10),
+    "outlier-80ms": _change("vehicle off by 0.5 m for 80 ms", lambda rng: inject.moved("vehicle", 0.5), 0.08,
+                            blind=True),
+    "outlier-for-good": _change("vehicle off by 0.5 m from then on", lambda rng: inject.moved("vehicle", 0.5), ALWAYS,
+                                blind=True),
+    "rod-off-2cm": _change("rod off by 2 cm from then on", lambda rng: inject.moved("pendulum", 0.02), ALWAYS),
+    "attitude-once": _change("vehicle's attitude off by 45 deg in one frame", lambda rng: inject.tilted(0.785), 0.0),
+    "swap-once": _change("bodies swapped in one frame", lambda rng: inject.swapped, 0.0),
+    "swap-80ms": _change("bodies swapped for 80 ms", lambda rng: inject.swapped, 0.08, blind=True),
+    "swap-for-good": _change("bodies swapped from then on", lambda rng: inject.swapped, ALWAYS, blind=True),
+    "frozen-80ms": _change("both poses frozen for 80 ms", lambda rng: inject.frozen(), 0.08, blind=True),
+    "frozen-for-good": _change("both poses frozen from then on", lambda rng: inject.frozen(), ALWAYS, blind=True),
+    "frame-repeated": _change("one frame again and again, with its stamp, for 80 ms",
+                              lambda rng: inject.frozen(stamps=True), 0.08, blind=True),
+    "quaternion-long": _change("vehicle's quaternion 1 % long in every third frame, 3 s",
+                               lambda rng: inject.longer("vehicle", 1.01), 3.0, 3),
+    "quaternion-zero": _change("rod's quaternion zero for 80 ms", lambda rng: inject.longer("pendulum", 0.0), 0.08,
+                               blind=True),
+    "quaternion-sign": _change("quaternions with the other sign in every other frame", lambda rng: inject.opposite,
+                               3.0, 2),
+    "solver-raises-once": _solver("exception, once", inject.raising),
+    "solver-raises-pushed": _solver("exceptions for 0.25 s, pushed meanwhile", inject.raising, 3 + 2, scenario=PUSHED),
+    "solver-raises": _solver("exceptions from then on", inject.raising, math.inf,
+                             demanded="the limit of 3 s without a solver"),
+    "solver-fails": _solver("no solution, three times", inject.unsolved, 3),
+    "solver-nan": _solver("plan of NaN, once", inject.numberless),
+    "solver-late-once": _solver("takes 25 ms, once", inject.taking(0.025)),
+    "solver-late": _solver("takes 12.5 ms, for 60 solves", inject.taking(0.0125), 60),
+    "solver-slow": _solver("takes 80 ms, once", inject.taking(0.08)),
+    "solver-hangs-250ms": _solver("hangs for 250 ms", inject.taking(0.25), blind=(START, START + 0.25)),
+    "solver-hangs": _solver("hangs for 2 s", inject.taking(2.0), blind=(START, START + 2.0), demanded=verdict.PULSE),
+    "estimate-silent": _estimates("no estimate from then on", lambda answer, count: None),
+    "estimate-nan": _estimates("estimates of NaN", inject.estimated(math.nan)),
+    "estimate-absurd": _estimates("estimates of -1, 0 and 1000 m", inject.estimated(-1.0, 0.0, 1e3)),
+    "estimate-shortest": _estimates("estimates of 0.1 m, the shortest allowed", inject.estimated(0.1)),
+    "estimate-longest": _estimates("estimates of 2.5 m, the longest allowed", inject.estimated(2.5)),
+    "estimate-wild": _estimates("estimates of 0.5 and 1.6 m in turn", inject.estimated(0.5, 1.6)),
+    "estimate-fails": _estimates("exceptions in the estimator",
+                                 lambda answer, count: Estimate(math.nan, math.nan, "ValueError: no fit")),
+    "length-jump-down": _prescribed("told a jump of the length by -0.6 m", 0.4),
+    "length-jump-up": _prescribed("told a jump of the length by 0.6 m", 1.6),
+    "length-jump-far": _prescribed("told a jump of the length by 0.85 m", 1.85),
+    "deaf-50ms": _deaf("no command gets through for 50 ms", 0.05),
+    "deaf-100ms": _deaf("no command gets through for 100 ms, pushed meanwhile", 0.1, PUSHED),
+    "deaf-300ms": _deaf("no command gets through for 300 ms", 0.3),
+    "deaf-1s": _deaf("no command gets through for 1 s", 1.0),
+    "abort": VirtualFault("operator", "abort", aborts=(START,), demanded=verdict.OPERATOR),
+    "abort-circle": VirtualFault("operator", "abort on the circle", CIRCLE, aborts=(START,), demanded=verdict.OPERATOR),
+    "push-far": VirtualFault("vehicle", "push of 60 mN s, beyond saving",
+                             replace(HOVER, pushes=(Push(START, (0.06, 0.0)),))),
+    "push-strong": VirtualFault("vehicle", "push of 15 mN s", replace(HOVER, pushes=(Push(START, (0.015, 0.0)),))),
+}  # fmt: skip
+"""The faults that fly in virtual time, by name."""

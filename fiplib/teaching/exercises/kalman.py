@@ -1,0 +1,82 @@
+"""Exercises of notebook 04, the Kalman filter."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
+
+from fiplib.teaching.exercises.grading import Exercise, positive_definite
+
+
+def _predicted(j: NDArray, p: NDArray, q: NDArray, step: float) -> NDArray:
+    f = np.eye(len(j)) + step * j
+    return f @ p @ f.T + q
+
+
+predict_covariance = Exercise(
+    _predicted,
+    lambda rng: (rng.normal(size=(4, 4)), *(positive_definite(rng, 4) for _ in range(2)), rng.uniform(0.05, 0.2)),
+    {
+        "that is the printed form: J alone forgets the identity, and the filter what it knew": (
+            lambda j, p, q, step: j @ p @ j.T + q
+        ),
+        "dt J alone forgets the identity: x + dt f(x) has the derivative I + dt J": (
+            lambda j, p, q, step: step**2 * j @ p @ j.T + q
+        ),
+        "dt is missing: f is a rate, a step of it is dt f": lambda j, p, q, step: _predicted(j, p, q, 1.0),
+        "Q_e is missing: the filter would trust its model fully": lambda j, p, q, step: _predicted(j, p, 0 * q, step),
+        "transposes are exchanged: F x has the covariance F P F'": lambda j, p, q, step: _predicted(j.T, p, q, step),
+    },
+    "the covariance of F x is F P F'; F is the derivative of x + dt f(x), and the process noise adds Q_e",
+    "state and covariance follow the same map now",
+)
+"""Predicted covariance in the consistent form."""
+
+
+def _nis(y: NDArray, s: NDArray) -> NDArray:
+    return np.einsum("ni,ni->n", y, np.linalg.solve(s, y[..., None])[..., 0])
+
+
+def _innovations(rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+    return rng.normal(size=(5, 3)), np.array([positive_definite(rng, 3) for _ in range(5)])
+
+
+normalised_innovations = Exercise(
+    _nis,
+    _innovations,
+    {
+        "that is the plain square: metres and radians are added, nothing is normalised": lambda y, s: (y**2).sum(1),
+        "S is to be inverted: a large covariance makes an innovation small": lambda y, s: _nis(y, np.linalg.inv(s)),
+        "only the diagonal of S is used: innovations of different states go together": (
+            lambda y, s: (y**2 / np.diagonal(s, axis1=1, axis2=2)).sum(axis=1)
+        ),
+        "that is the mean: one value for each sample is asked for": lambda y, s: _nis(y, s).mean(),
+    },
+    "y' S^-1 y for each sample; np.linalg.solve takes a stack of matrices",
+    "its mean is the number of measured states, if model and noise are right",
+)
+"""Normalised innovation squared."""
+
+
+def _log_likelihood(y: NDArray, s: NDArray) -> float:
+    return sum(multivariate_normal.logpdf(row, cov=covariance) for row, covariance in zip(y, s, strict=True))
+
+
+log_likelihood = Exercise(
+    _log_likelihood,
+    _innovations,
+    {
+        "log det S is missing: without it the vaguest filter wins, as it expects anything": (
+            lambda y, s: _log_likelihood(y, s) + np.linalg.slogdet(s)[1].sum() / 2
+        ),
+        "the sign is wrong: large innovations make a length less likely": lambda y, s: -_log_likelihood(y, s),
+        "that is -2 log L, small where the likelihood is large: divide by -2": lambda y, s: -2 * _log_likelihood(y, s),
+        "the constant n log 2 pi is missing: it moves no optimum, yet belongs to a likelihood": (
+            lambda y, s: _log_likelihood(y, s) + y.size * math.log(2 * math.pi) / 2
+        ),
+    },
+    "the sum over the samples of -(y' S^-1 y + log det S + n log 2 pi) / 2",
+    "neither a large gain nor a large covariance can flatter this score",
+)
+"""Log likelihood of the innovations."""

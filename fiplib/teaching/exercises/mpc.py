@@ -1,0 +1,73 @@
+"""Exercises of notebook 03, model predictive control."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib.teaching.exercises.grading import Exercise, positive_definite
+
+
+def _riccati(a: NDArray, b: NDArray, q: NDArray, r: NDArray, p: NDArray) -> NDArray:
+    gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+    closed = a - b @ gain
+    return q + gain.T @ r @ gain + closed.T @ p @ closed
+
+
+riccati_step = Exercise(
+    _riccati,
+    lambda rng: (rng.normal(size=(4, 4)), rng.normal(size=(4, 2)), *(positive_definite(rng, n) for n in (4, 2, 4))),
+    {
+        "the sign of the last term is wrong: being free to choose u makes the future cheaper, not dearer": (
+            lambda a, b, q, r, p: 2 * (q + a.T @ p @ a) - _riccati(a, b, q, r, p)
+        ),
+        "the cost of the step itself is missing: add Q": lambda a, b, q, r, p: _riccati(a, b, 0 * q, r, p),
+        "R is missing beside B'PB: then control costs nothing": lambda a, b, q, r, p: _riccati(a, b, q, 0 * r, p),
+        "the last term is missing: that is the cost of doing nothing, u = 0": lambda a, b, q, r, p: q + a.T @ p @ a,
+    },
+    "minimise x'Qx + u'Ru + (Ax + Bu)'P(Ax + Bu) over u and put the best u back in; mind the transposes",
+    "sixty such steps backwards from P are the whole MPC, as long as no bound is active",
+)
+"""One step of the Riccati recursion."""
+
+
+def _grown(a: NDArray, b: NDArray, k: NDArray, n: int, order: float | str = 2) -> tuple[float, float]:
+    first, second = (np.linalg.matrix_power(matrix, n) for matrix in (a, a - b @ k))
+    return np.linalg.norm(first, order), np.linalg.norm(second, order)
+
+
+growths = Exercise(
+    _grown,
+    lambda rng: (rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=(1, 3)), int(rng.integers(3, 9))),
+    {
+        "the sign of the feedback is wrong: u = -K x, so the loop is A - B K": lambda a, b, k, n: _grown(a, -b, k, n),
+        "** raises single entries to a power: take np.linalg.matrix_power": (
+            lambda a, b, k, n: tuple(np.linalg.norm(matrix**n, 2) for matrix in (a, a - b @ k))
+        ),
+        "that is the Frobenius norm: the largest growth is np.linalg.norm(M, 2)": lambda *of: _grown(*of, "fro"),
+        "that is the growth of one step: raise the matrices to the power n": lambda a, b, k, n: _grown(a, b, k, 1),
+        "the two are exchanged: first without feedback, then with it": lambda *of: _grown(*of)[::-1],
+    },
+    "the largest growth over n steps is the largest singular value of the n-th power of the step's matrix",
+    "now try it on the rod: without feedback the end of the plan hangs on the last digits of its beginning",
+)
+"""Growth over the horizon, without and with feedback."""
+
+
+def _moved(a: NDArray, b: NDArray, x: NDArray, sent: NDArray) -> NDArray:
+    for u in sent:
+        x = a @ x + b @ u
+    return x
+
+
+state_when_it_acts = Exercise(
+    _moved,
+    lambda rng: (rng.normal(size=(4, 4)), rng.normal(size=(4, 2)), rng.normal(size=4), rng.normal(size=(3, 2))),
+    {
+        "that is the state as measured: commands on their way will have moved it": lambda a, b, x, sent: x,
+        "commands act in the order they were sent, the oldest first": lambda a, b, x, sent: _moved(a, b, x, sent[::-1]),
+        "all commands on their way act, not only the oldest": lambda a, b, x, sent: _moved(a, b, x, sent[:1]),
+        "the rod goes on falling meanwhile: A acts in every step": lambda a, b, x, sent: x + b @ sent.sum(axis=0),
+    },
+    "one step x = A x + B u for each command that is on its way",
+    "planning from where the vehicle will be takes the delay out of the loop, as far as the model holds",
+)
+"""The state at which a delayed command will act."""

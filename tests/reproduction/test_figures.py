@@ -1,0 +1,115 @@
+"""Figures and tables: complete, honest about their origin, readable, the same bytes every time."""
+
+import csv
+import hashlib
+import io
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.text import Text
+
+from fiplib import products
+from fiplib.params import FipError
+from fiplib.products import PRODUCTS
+from fiplib.reproduction import tables
+from fiplib.reproduction.style import COLUMN, STYLE
+from fiplib.reproduction.tables import Table
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "data"
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Figure | Table]:
+    return {name: products.make(name, DATA) for name in PRODUCTS}
+
+
+DRAWN = [name for name in PRODUCTS if name.startswith("fig")]
+TABLES = [name for name in PRODUCTS if name.startswith("table")]
+
+
+def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
+    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 14)]
+    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 12)]
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_writing_twice_gives_the_same_bytes(name, made, tmp_path):
+    first = products.write(name, made[name], tmp_path / "first")
+    again = products.write(name, products.make(name, DATA), tmp_path / "again")
+    assert len(first) == 2
+    for one, other in zip(first, again, strict=True):
+        assert hashlib.sha256(one.read_bytes()).digest() == hashlib.sha256(other.read_bytes()).digest(), one.name
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_figure_is_one_column_wide_and_its_text_is_legible_and_inside(name, made):
+    figure = made[name]
+    assert figure.get_figwidth() == COLUMN
+    with mpl.rc_context(STYLE):
+        FigureCanvasAgg(figure).draw()
+        bounds = figure.bbox.padded(2)  # pixels at 100 dpi: what rounding of a text's box may stick out
+        for text in _words(figure):
+            if text.get_text().strip():
+                assert text.get_fontsize() >= 6, text.get_text()
+                box = text.get_window_extent()
+                inside = bounds.x0 <= box.x0 and box.x1 <= bounds.x1 and bounds.y0 <= box.y0 and box.y1 <= bounds.y1
+                assert inside, f"{text.get_text()!r} leaves the figure"
+
+
+def _words(figure: Figure) -> list[Text]:
+    """All text but the numbers at the ticks, which matplotlib keeps beyond the limits of an axis without drawing."""
+    words = list(figure.texts)
+    for axes in figure.axes:
+        words += [*axes.texts, axes.xaxis.label, axes.yaxis.label, axes.title]
+    for legend in figure.findobj(Legend):
+        words += legend.get_texts()
+    return words
+
+
+@pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])
+def test_a_figure_made_from_flights_says_that_they_are_simulated_and_which(name, made):
+    words = " ".join(text.get_text() for text in made[name].findobj(Text))
+    assert "simulated" in words
+    for bag in PRODUCTS[name].bags:
+        assert bag in words
+
+
+@pytest.mark.parametrize("name", [n for n in DRAWN if PRODUCTS[n].studies or PRODUCTS[n].benchmarks])
+def test_a_figure_made_from_a_study_says_that_it_is_simulated(name, made):
+    assert "simulated" in " ".join(text.get_text() for text in made[name].findobj(Text))
+
+
+def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(FipError, match="survival is missing: make sweep STUDIES='survival'"):
+        products.make("fig7-survival", tmp_path)
+
+
+@pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])
+def test_every_axis_has_a_label_with_its_unit(name, made):
+    axes = made[name].axes
+    for one in axes:
+        assert "(" in one.get_ylabel(), one.get_ylabel()
+    assert "(" in axes[-1].get_xlabel()
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_is_the_same_in_csv_and_latex(name, made):
+    table = made[name]
+    header, *rows = csv.reader(io.StringIO(table.csv("make figures")))
+    assert {len(row) for row in rows} == {len(table.alignment) + 1}
+    assert header[-1] == "Command" and {row[-1] for row in rows} == {"make figures"}
+    body = [line for line in table.latex().splitlines() if line.endswith(r"\\")]
+    assert [[tables.plain(cell.strip()) for cell in line.removesuffix(r" \\").split(" & ")] for line in body] == [
+        [cell.strip() for cell in row[:-1]] for row in (header, *rows)
+    ]
+    assert not any(mark in cell for row in (header, *rows) for cell in row for mark in "$\\{}")
+
+
+def test_markup_is_taken_out_of_cells():
+    cells = {r"$-$0.5": "-0.5", r"5\,\%": "5 %", r"$Q$, $\dot x$": "Q, x_dot", r"$l_\mathrm{min}$": "l_min"}
+    assert {cell: tables.plain(cell) for cell in cells} == cells

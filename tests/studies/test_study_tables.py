@@ -1,0 +1,116 @@
+"""The tables of the studies count, average and leave out what they say."""
+
+import math
+
+import pytest
+
+from fiplib import products
+from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, weights
+from fiplib.studies.imperfections import IMPERFECTIONS
+
+
+def handover_rows() -> list[dict]:
+    """Four flights: told loses the last; printed loses two more; trusted keeps all that telling keeps."""
+    rows = []
+    for index, (told, printed, trusted) in enumerate([(1, 1, 1), (1, 0, 1), (1, 0, 1), (0, 0, 0)]):
+        for policy, up in (("told", told), ("printed", printed), ("trusted", trusted), ("literal", printed)):
+            settled = 1.0 + index if up else math.nan
+            rows.append({"policy": policy, "index": index, "survived": up, "settled": settled, "longest_used": 1.1})
+    return rows
+
+
+def test_a_policy_is_held_against_the_flights_that_telling_the_length_keeps_up():
+    trusted, printed = (handover.handed_over(handover_rows(), policy) for policy in ("trusted", "printed"))
+    assert (trusted.flights, trusted.up, trusted.kept, trusted.right) == (4, 3, 1.0, 1.0)
+    assert trusted.mean_time == 2.0 and trusted.longest == 1.1
+    assert (printed.up, printed.kept) == (1, 1 / 3)
+
+
+def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_told_one():
+    table = handover.table8_handover(handover_rows())
+    assert [row[0] for row in table.rows] == list(handover.LABELS.values())
+    assert table.rows[0][4:7] == ("--", "--", "--")
+    assert table.rows[1][1:5] == ("4", "3", "100.0", "100.0")
+
+
+def seeds_row(scenario: str, survived: int = 1, **values: float) -> dict:
+    columns = {name: math.nan for column in ledger_seeds.COLUMNS for name in (column, f"holds_{column}")}
+    return {"variant": "default", "scenario": scenario, "survived": survived, **columns, **values}
+
+
+def test_the_seeds_table_has_mean_spread_and_the_flights_in_which_the_row_holds():
+    rows = [
+        seeds_row("push-hover", largest_lean=0.05, holds_largest_lean=1),
+        seeds_row("push-hover", largest_lean=0.07, holds_largest_lean=0),
+        seeds_row("push-hover", survived=0),
+    ]
+    lines = {row[0]: row[1:] for row in ledger_seeds.table5_seeds(rows).rows}
+    assert lines["D2"] == ("0.058", "0.060", "0.014", "0.050", "0.070", "m", "3", "1")
+    assert lines["D1"][-2:] == ("3", "2")
+    assert lines["C1"][1:5] == ("--",) * 4 and lines["C1"][-2:] == ("0", "0")
+
+
+def test_the_seeds_table_is_in_the_order_of_the_ledger():
+    names = [row[0].split(",")[0] for row in ledger_seeds.table5_seeds([]).rows]
+    assert names[:4] == ["D1", "D2", "D3", "C1"] and names[-1] == "G6.fatal"
+    assert names.count("G4.late") == names.count("G5") == 3
+
+
+def test_the_weights_table_counts_conditions_alone_and_together():
+    flags = {f"holds_{id}": 1 for id in ("D1", "D2", "D3", "C1", "C2.gain")}
+    rows = [
+        {"y_share": 1.0, "linear": 1, "starts": 3, "passes": 1, **flags, "holds_C2.delay": 0, "holds_C2.y": 0},
+        {"y_share": 1.0, "linear": 0, "starts": math.nan, "passes": 0, "holds_C2.delay": math.nan, "holds_C2.y": 1}
+        | dict.fromkeys(flags, math.nan),
+        {"y_share": 0.1, "linear": 1, "starts": 3, "passes": 1, **flags, "holds_C2.delay": 0, "holds_C2.y": 1},
+    ]
+    counts = {row[0]: row[1:] for row in weights.table7_weights(rows).rows}
+    assert counts["linear loop stable, every start"] == ("1", "1")
+    assert counts["C2.y holds"] == ("1", "1") and counts["C2.y and C2.gain"] == ("0", "1")
+    assert counts["all but C2.delay"] == ("0", "1")
+
+
+def test_pooling_weighs_flights_by_their_windows():
+    rows = [
+        {"n_ga": 1, "bias_ga": 0.3, "rms_ga": 0.3, "bound_ga": 0.1, "covered_ga": math.nan},
+        {"n_ga": 3, "bias_ga": -0.1, "rms_ga": 0.1, "bound_ga": 0.1, "covered_ga": math.nan},
+        {"n_ga": 0, "bias_ga": math.nan, "rms_ga": math.nan, "bound_ga": math.nan, "covered_ga": math.nan},
+    ]
+    found = estimators.pooled(rows, "ga")
+    assert found.windows == 4 and found.bias == pytest.approx(0.0, abs=1e-15)  # rounding of 0.3 - 3 * 0.1
+    assert found.rms == pytest.approx(math.sqrt((0.09 + 0.03) / 4)) and math.isnan(found.covered)
+
+
+def test_the_rates_table_says_what_is_measured_and_what_extrapolated():
+    rates = {
+        "rate_1_worker_per_s": 2.0, "rate_2_workers_per_s": 3.6, "extrapolated_cores": 100.0,
+        "flight_duration_s": 10.0, "extrapolated_hours": 1.39,
+    }  # fmt: skip
+    lines = benchmarks.table10_rates(rates).rows
+    assert lines[1] == ("2", "3.60", "36", "1.80", "measured")
+    assert lines[2] == ("100", "200", "2000", "100.00", "extrapolated: 1.4 h for a million")
+
+
+def imperfect_row(name: str, **values: float) -> dict:
+    columns = {"n": 6, "refused": 0, "bias": 0.0, "rms": 0.004, "covered": 6}
+    estimators = ("ga", "maximum_likelihood_calibrated", "maximum_likelihood")
+    made = {f"{column}_{one}": value for one in estimators for column, value in columns.items()}
+    return {"imperfection": name, **made, **values}
+
+
+def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_well():
+    refused = {f"{column}_maximum_likelihood_calibrated": math.nan for column in ("bias", "rms", "covered")}
+    refused |= {"n_maximum_likelihood_calibrated": 0, "refused_maximum_likelihood_calibrated": 6}
+    half = {"n_maximum_likelihood": 3, "refused_maximum_likelihood": 3, "covered_maximum_likelihood": 2}
+    rows = [imperfect_row(name, **(refused if name == "all of them" else half)) for name in IMPERFECTIONS]
+    lines = {row[0]: row[1:] for row in imperfections.table11_imperfections(rows).rows}
+    assert next(iter(lines)) == "none" and len(lines) == len(IMPERFECTIONS)
+    assert lines["none"] == ("4", "100", "4.0", "100", "50", "4.0", "67")
+    assert lines["all of them"] == ("4", "0", "--", "--", "100", "4.0", "100")
+    found = imperfections.facts(rows)
+    assert found["all", "maximum_likelihood_calibrated", "answered"] == "0"
+    assert ("all", "maximum_likelihood_calibrated", "rms") not in found
+
+
+def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
+    assert products.facts(tmp_path) == {}
