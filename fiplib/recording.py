@@ -67,7 +67,7 @@ ROLES = {
     "truth_state": Role("/truth/state", JOINTS, "world", (*STATE_NAMES, "z"), (*_STATE_UNITS, "m")),
     "truth_length": Role("/truth/length", POINT, "world", ("length",), ("m",)),
 }
-"""The bag contract. Topics can be remapped when a bag is read; types, names and units cannot."""
+"""The bag contract. Topics can be remapped when a bag is read, and poses and commands may be of other types."""
 
 TOPICS = {role: entry.topic for role, entry in ROLES.items()}
 """Default topic of each role."""
@@ -158,6 +158,8 @@ class Flight:
     start_ns: int
     """The first exposure of either body: time zero of the flight."""
     topics: tuple[TopicInfo, ...]
+    notes: tuple[str, ...] = ()
+    """What reading guessed or left out, a sentence each."""
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""

@@ -20,6 +20,7 @@ def describe(flight: Flight, remarks: Remarks | None = None) -> str:
         lines.append(f"{'recovered':<10} from {recovered.get('from')}, {recovered.get('damaged_bytes')} bytes damaged")
         lines[-1] += "" if recovered.get("finished") else ", without the end of the recording"
     lines += [f"{'duration':<10} {flight.duration:.2f} s", f"{'events':<10} {len(flight.events)}"]
+    lines += [f"{'assumed' if not i else '':<10} {note}" for i, note in enumerate(flight.notes)]
     lines += [*(f"{word:<10} {say(flight)}" for word, say in (remarks or {}).items()), ""]
     width = max(len(info.topic) for info in flight.topics)
     kind = max(len(info.type) for info in flight.topics)

@@ -2,7 +2,8 @@
 
 They follow one another, each with its length. Where one is damaged, the next one that makes sense is looked for: a
 chunk of messages is compressed and carries a checksum, so it makes sense as a whole or not at all. (Messages of other
-recorders may lie outside chunks, and then without a checksum.) The index at the end of a file is not needed.
+recorders may lie outside chunks, and then without a checksum.) The index at the end of a file is not needed. Never is
+more of a file in memory than one record.
 """
 
 import re
@@ -12,12 +13,14 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.rosbag2.storage_mcap import decompress, read_bytes, read_string
 from ruamel.yaml import YAML
 
-__all__ = ["Gap", "Remains", "Topic", "embedded_metadata"]
+__all__ = ["File", "Gap", "Remains", "Topic", "chunk_at", "embedded_metadata", "places"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT = 2, 3, 4, 5, 6, 9
@@ -30,6 +33,31 @@ _SUMMARY = (3, 4, 8, 10, 11, 13, 14)
 _DAMAGE = 0  # no opcode of MCAP: stands for bytes that are no record
 # Opcode and length of a message, a chunk or a metadata record; lengths from 2^40 on are none.
 _HEAD = re.compile(rb"(?=[\x05\x06\x0c].{5}\x00{3})", re.DOTALL)
+_WINDOW = 1 << 20  # bytes in which they are looked for at once
+_LARGEST = 1 << 29  # bytes of a message or a chunk; a length beyond is damage
+_START = struct.Struct("<BQH")  # opcode and length of a record, and channel of a message
+
+
+class File:
+    """The bytes of a file, of which only the slices that are asked for are read; a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("rb")
+        self._size = path.stat().st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, end, _ = part.indices(self._size)
+        self._stream.seek(start)
+        return self._stream.read(max(end - start, 0))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
 
 
 class Gap(NamedTuple):
@@ -54,12 +82,13 @@ class Topic(NamedTuple):
 
 
 class Remains:
-    """What is left in the bytes of one MCAP file."""
+    """What is left in one MCAP file."""
 
-    def __init__(self, content: bytes) -> None:
-        self._content = content
-        self.magic = content.startswith(_MAGIC)
-        self.finished = content.endswith(_MAGIC) and len(content) > len(_MAGIC)
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with File(path) as content:
+            self.magic = content[:8] == _MAGIC
+            self.finished = content[-8:] == _MAGIC and len(content) > len(_MAGIC)
         self.entries: Mapping[str, Any] = {}
         self.gaps: list[Gap] = []
         schemas: dict[int, tuple[str, str, str]] = {}
@@ -68,7 +97,7 @@ class Remains:
         spans: dict[int, tuple[int, int]] = {}
         last: int | None = None
         open_gap, ended = 0, False
-        for opcode, data in _walk(content):
+        for opcode, data in _walk(path):
             if opcode == _MESSAGE:
                 channel, log_time = _message(data)
                 if open_gap:
@@ -79,7 +108,7 @@ class Remains:
                 last = latest if last is None else max(last, log_time)
                 counts[channel] += 1
             elif opcode == _DAMAGE:
-                open_gap += len(data)
+                open_gap += int.from_bytes(data)
             elif opcode == _DATA_END:
                 ended = True
             else:
@@ -107,7 +136,7 @@ class Remains:
 
     def messages(self) -> Iterator[tuple[Topic, int, bytes]]:
         """Topic, log time in ns and content of every message whose topic is known, in the order of the file."""
-        for opcode, data in _walk(self._content):
+        for opcode, data in _walk(self._path):
             if opcode == _MESSAGE:
                 channel, log_time = _message(data)
                 if channel in self.topics:
@@ -129,48 +158,55 @@ def _sound(data: bytes) -> bool:
     return len(data) >= 22 and _message(data)[1] < 1 << 63
 
 
-def _walk(content: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of every record of a file and of its chunks, and ``_DAMAGE`` with the bytes between them."""
-    at = before = len(_MAGIC) if content.startswith(_MAGIC) else 0
-    channels: set[int] = set()
-    ended = False
-    while at < len(content):
-        records, end = _records_at(content, at, ended)
-        if at == len(_MAGIC) and content[at] == _MESSAGE:
-            records = None  # a file begins with its header: this was one
-        if records is None:
-            # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged: its length led here.
-            whole = end > at and content[at] == _CHUNK and _framed(content, at + 9, end)
-            end = _next(content, end if whole else before + 1, channels)
-            yield _DAMAGE, content[at:end]
-            before = at = end
-            continue
-        for opcode, data in records:
-            if opcode == _CHANNEL:
-                channels.add(_number(data))
-            ended |= opcode == _DATA_END
-            yield opcode, data
-            if opcode == _FOOTER:
-                return
-        before, at = at, end
+def _walk(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of every record of a file and of its chunks, and ``_DAMAGE`` with the size of what is none.
 
-
-def _next(content: bytes, at: int, channels: Collection[int]) -> int:
-    """Where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
-    for match in _HEAD.finditer(content, at):
-        start = match.start()
-        records, end = _records_at(content, start, False)
-        if records is None:
-            continue
-        if content[start] == _MESSAGE:  # may be an accident, unless its channel is known and another record follows
-            known = _number(records[0][1]) in channels
-            if not known or (end < len(content) and _records_at(content, end, False)[0] is None):
+    Of attachments and indexes, which may be large, the content is left out.
+    """
+    with File(path) as content:
+        at = before = len(_MAGIC) if content[:8] == _MAGIC else 0
+        channels: set[int] = set()
+        ended = False
+        while at < len(content):
+            records, end = _records_at(content, at, ended)
+            if at == len(_MAGIC) and records and records[0][0] == _MESSAGE:
+                records = None  # a file begins with its header: this was one
+            if records is None:
+                # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged, as its length led
+                # here; not so if it is a chunk, whose two lengths agree: its messages must not be found twice.
+                whole = end > at and content[at : at + 1] == b"\x06" and _framed(content, at + 9, end)
+                end = _next(content, end if whole else before + 1, channels)
+                yield _DAMAGE, max(end - at, 0).to_bytes(8)
+                before = at = end
                 continue
-        return start
+            for opcode, data in records:
+                if opcode == _CHANNEL:
+                    channels.add(_number(data))
+                ended |= opcode == _DATA_END
+                yield opcode, data
+                if opcode == _FOOTER:
+                    return
+            before, at = (end - 1 if content[at : at + 1] == b"\x06" else at), end
+
+
+def _next(content: File, at: int, channels: Collection[int]) -> int:
+    """Where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
+    for base in range(at, len(content), _WINDOW):
+        for match in _HEAD.finditer(content[base : base + _WINDOW + 8]):
+            start = base + match.start()
+            records, end = _records_at(content, start, False)
+            if records is None:
+                continue
+            if content[start : start + 1] == b"\x05":
+                # may be an accident, unless its channel is known and another record follows
+                known = _number(records[0][1]) in channels
+                if not known or (end < len(content) and _records_at(content, end, False)[0] is None):
+                    continue
+            return start
     return len(content)
 
 
-def _records_at(content: bytes, at: int, ended: bool) -> tuple[list[tuple[int, bytes]] | None, int]:
+def _records_at(content: File, at: int, ended: bool) -> tuple[list[tuple[int, bytes]] | None, int]:
     """The record at a place, or the records of the chunk there, and where it ends; None if it makes no sense.
 
     ``ended`` says that the end of the data has passed, and the summary lies here.
@@ -181,56 +217,112 @@ def _records_at(content: bytes, at: int, ended: bool) -> tuple[list[tuple[int, b
     opcode, start, end = head
     if opcode == _CHUNK:
         return _inside(content, start, end), end
-    data = content[start:end]
     if opcode in _SHAPES:
-        sound = _has_shape(data, *_SHAPES[opcode])
+        sound = _has_shape(content, start, end, *_SHAPES[opcode])
+    elif opcode == _MESSAGE:
+        sound = end - start <= _LARGEST and _sound(content[start : min(end, start + 22)])
     else:
-        sound = _sound(data) if opcode == _MESSAGE else opcode == _ATTACHMENT or (ended and opcode in _SUMMARY)
-    return ([(opcode, data)] if sound else None), end
+        sound = opcode == _ATTACHMENT or (ended and opcode in _SUMMARY)
+    kept = opcode in (_MESSAGE, _SCHEMA, _CHANNEL, _METADATA)
+    return ([(opcode, content[start:end] if kept else b"")] if sound else None), end
 
 
-def _head(content: bytes, at: int) -> tuple[int, int, int] | None:
+def _head(content: File | bytes, at: int) -> tuple[int, int, int] | None:
     """Opcode of the record at a place, start and end of its content; None if the file ends before."""
     if at + 9 > len(content):
         return None
-    opcode, length = struct.unpack_from("<BQ", content, at)
+    opcode, length = struct.unpack("<BQ", content[at : at + 9])
     return None if at + 9 + length > len(content) else (opcode, at + 9, at + 9 + length)
 
 
-def _has_shape(data: bytes, start: int, blocks: int) -> bool:
+def _has_shape(content: File | bytes, at: int, end: int, start: int, blocks: int) -> bool:
+    at += start
     for _ in range(blocks):
-        if start + 4 > len(data):
+        if at + 4 > end:
             return False
-        start += 4 + struct.unpack_from("<I", data, start)[0]
-    return start == len(data)
+        at += 4 + struct.unpack("<I", content[at : at + 4])[0]
+    return at == end
 
 
-def _framed(content: bytes, start: int, end: int) -> tuple[int, int, str, int] | None:
+def _framed(content: File, start: int, end: int) -> tuple[int, int, str, int] | None:
     """Size unpacked, checksum, compression of a chunk, and where it begins; None if its lengths do not agree."""
     try:
-        size, crc, letters = struct.unpack_from("<QII", content, start + 16)
+        head = content[start : min(end, start + 72)]
+        size, crc, letters = struct.unpack_from("<QII", head, 16)
+        (length,) = struct.unpack_from("<Q", head, 32 + letters)
         packed = start + 40 + letters
-        (length,) = struct.unpack_from("<Q", content, packed - 8)
-        return (size, crc, content[start + 32 : packed - 8].decode(), packed) if packed + length == end else None
+        return (size, crc, head[32 : 32 + letters].decode(), packed) if packed + length == end else None
     except (struct.error, UnicodeDecodeError):
         return None
 
 
-def _inside(content: bytes, start: int, end: int) -> list[tuple[int, bytes]] | None:
+def _unpacked(content: File, start: int, end: int) -> bytes:
+    """The bytes of a chunk. Raises whatever the libraries raise on damage, up to MemoryError."""
+    size, crc, compression, packed = _framed(content, start, end) or ()
+    if max(size, end - packed) > _LARGEST:
+        raise ValueError(f"a chunk of {size} bytes")
+    return decompress(content[packed:end], compression, size, crc)
+
+
+def _inside(content: File, start: int, end: int) -> list[tuple[int, bytes]] | None:
     """The records of a chunk; None if it is damaged."""
     try:
-        size, crc, compression, packed = _framed(content, start, end) or ()
-        raw = decompress(content[packed:end], compression, size, crc)
-    except Exception:  # the libraries raise many kinds on damage, up to MemoryError
+        raw = _unpacked(content, start, end)
+    except Exception:
         return None
     records, at = [], 0
     while head := _head(raw, at):
         opcode, first, at = head
-        data = raw[first:at]
         shape = _SHAPES.get(opcode) if opcode in (_SCHEMA, _CHANNEL) else None
-        if (opcode == _MESSAGE and _sound(data)) or (shape and _has_shape(data, *shape)):
-            records.append((opcode, data))
+        if (opcode == _MESSAGE and _sound(raw[first:at])) or (shape and _has_shape(raw, first, at, *shape)):
+            records.append((opcode, raw[first:at]))
     return records
+
+
+def chunk_at(content: File, at: int) -> bytes:
+    """The records of the chunk at a place of a file. Raises ValueError if it is damaged."""
+    head = _head(content, at)
+    try:
+        if head and head[0] == _CHUNK:
+            return _unpacked(content, head[1], head[2])
+        reason = "no chunk is there"
+    except Exception as error:
+        reason = str(error)
+    raise ValueError(f"the chunk at byte {at}: {reason}")
+
+
+def places(raw: bytes, channels: Collection[int]) -> dict[int, tuple[NDArray, NDArray, NDArray]]:
+    """Log times in ns, starts and ends of the messages in a chunk, (n,) int64 each, for those channels that occur.
+
+    Raises ValueError if its records do not fill it.
+    """
+    found: dict[int, list[int]] = {channel: [] for channel in channels}
+    at, size, start = 0, len(raw), _START.unpack_from
+    try:
+        while at < size:
+            opcode, length, channel = start(raw, at)
+            if opcode == _MESSAGE and channel in found:
+                found[channel].append(at)
+            at += 9 + length
+    except struct.error:
+        at = -1
+    if at != size:
+        raise ValueError("a chunk whose records do not fill it")
+    view = np.frombuffer(raw, np.uint8)
+    result = {}
+    for channel, starts in found.items():
+        if starts:
+            head = np.array(starts)
+            length, log_time = (_numbers(view, head + offset) for offset in (1, 15))
+            if (length < 22).any() or (log_time < 0).any():
+                raise ValueError("a message without its head")
+            result[channel] = log_time, head + 31, head + 9 + length
+    return result
+
+
+def _numbers(view: NDArray, at: NDArray) -> NDArray:
+    """The 8-byte integers at these places, (n,) int64."""
+    return view[at[:, None] + np.arange(8)].view("<i8")[:, 0]
 
 
 def embedded_metadata(source: Path) -> Mapping[str, Any]:
@@ -238,19 +330,17 @@ def embedded_metadata(source: Path) -> Mapping[str, Any]:
 
     Raises ValueError if there should be a copy and there is none, or another exception if it cannot be decoded.
     """
-    files = [source] if source.is_file() else sorted(source.glob("*.mcap"))
-    if not files or files[0].suffix != ".mcap":
-        return {}
-    content, at = files[0].read_bytes(), len(_MAGIC)
-    while head := _head(content, at):
-        opcode, start, at = head
-        data = content[start:at]
-        if opcode == _METADATA and (entries := _custom_data(data)) is not None:
-            return entries
-        if opcode == _FOOTER:
-            return {}
-        if not opcode or (opcode == _METADATA_INDEX and data[20:27] == b"rosbag2"):  # offset, length, name
-            break
+    at = len(_MAGIC)
+    with File(source) as content:
+        while head := _head(content, at):
+            opcode, start, at = head
+            if opcode == _METADATA and (entries := _custom_data(content[start:at])) is not None:
+                return entries
+            if opcode == _FOOTER:
+                return {}
+            # of the index: offset, length, name
+            if not opcode or (opcode == _METADATA_INDEX and content[start + 20 : start + 27] == b"rosbag2"):
+                break
     raise ValueError("its copy of the metadata cannot be found")
 
 

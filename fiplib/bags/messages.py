@@ -1,22 +1,27 @@
-"""The bytes of the messages in a bag.
-
-``Layout`` knows where the numbers lie in a message; ``fiplib.bags.writer`` writes with it and ``fiplib.bags.reader``
-reads with it, so that both sides share one definition.
-"""
+"""The bytes of the messages in a bag: their definitions, and those of our own written fast."""
 
 import functools
 import json
 import struct
+import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from fiplib.params import NANO
 from fiplib.recording import ATTITUDE, JOINTS, POINT, POSE
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd  # the copy that rosbags itself depends on
+
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""The first bytes of whatever zstd compressed; no message begins so."""
 
 IGNORE_RATES, IGNORE_ATTITUDE = 1 | 2 | 4, 128
 ATTITUDE_DEFINITION = """\
@@ -43,6 +48,22 @@ def typestore() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(ATTITUDE_DEFINITION, ATTITUDE))
     return store
+
+
+def definitions(kind: str, text: str) -> Typestore:
+    """The types in the definition of a message that a bag carries (msg or IDL). Raises what the library raises."""
+    store, rule = get_typestore(Stores.EMPTY), "=" * 80 + "\n"
+    if text.startswith(f"{rule}IDL: "):
+        for part in text.split(rule)[1:]:
+            store.register(get_types_from_idl(part.partition("\n")[2]))
+    else:
+        store.register(get_types_from_msg(text, kind))
+    return store
+
+
+def unpacked(message: bytes) -> bytes:
+    """A message, decompressed if it was compressed by itself."""
+    return zstd.decompress(message) if message.startswith(ZSTD) else message
 
 
 class Layout(NamedTuple):
@@ -84,28 +105,6 @@ class Layout(NamedTuple):
         struct.pack_into("<iI", message, 4, *divmod(stamp, NANO))
         struct.pack_into(f"<{self.doubles}d{self.singles}f", message, self.offset, *values)
         return bytes(message)
-
-    def decode(self, messages: Sequence[bytes]) -> tuple[np.ndarray, np.ndarray] | None:
-        """Stamps (n,) in ns and values (n, k) of n messages at once, or None if one of them has another layout."""
-        size = len(self.template)
-        if any(len(message) != size for message in messages):
-            return None
-        raw = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, size)
-        fixed = np.ones(size, bool)
-        fixed[4:12] = fixed[self.offset : self.offset + 8 * self.doubles + 4 * self.singles] = False
-        if (raw[:, fixed] != np.frombuffer(self.template, np.uint8)[fixed]).any():
-            return None
-        second, nanosecond, doubles, singles = (
-            np.ascontiguousarray(raw[:, start : start + np.dtype(kind).itemsize * count]).view(kind)
-            for start, kind, count in (
-                (4, "<i4", 1),
-                (8, "<u4", 1),
-                (self.offset, "<f8", self.doubles),
-                (self.offset + 8 * self.doubles, "<f4", self.singles),
-            )
-        )
-        stamp = second[:, 0].astype(np.int64) * NANO + nanosecond[:, 0]
-        return stamp, np.concatenate([doubles, singles], axis=1, dtype=np.float64)
 
 
 def checksum(entries: Mapping[str, str]) -> str:

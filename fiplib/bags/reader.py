@@ -6,26 +6,25 @@ is one ``BagError`` that names the file and the topic and says what to do.
 
 import json
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import Reader
 
-from fiplib.bags.mcap import embedded_metadata
-from fiplib.bags.messages import IGNORE_RATES, SIDECAR, Layout, genuine, typestore
+from fiplib.bags.decoding import RATES, Decoder
+from fiplib.bags.messages import IGNORE_RATES, SIDECAR, genuine, typestore
 from fiplib.bags.recovery import intact_messages
+from fiplib.bags.roles import BODIES, Place, places_of
+from fiplib.bags.sources import Block, Source, opened
 from fiplib.params import NANO
 from fiplib.recording import (
-    JOINTS,
+    ATTITUDE,
     LEVELS,
     ORIGINS,
-    POINT,
-    POSE,
     ROLES,
-    TOPICS,
     BagError,
     Event,
     Flight,
@@ -40,7 +39,9 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
 
     Args:
         path: the bag's directory, or a bare .mcap file.
-        topics: names of topics that differ from ``TOPICS``, by role: ``{"vehicle": "/vrpn_mocap/quad/pose"}``.
+        topics: names of topics that differ from ``TOPICS``, by role: ``{"vehicle": "/vrpn_mocap/quad/pose"}``, or
+            ``"/tf:quad"`` for one of several bodies in a topic. What is not named and not there is guessed from types
+            and names, and said in ``Flight.notes``.
 
     Raises:
         BagError: the bag is missing, damaged, or does not hold what the bag contract says.
@@ -48,115 +49,106 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
     path, topics = Path(path), dict(topics or {})
     if unknown := set(topics) - set(ROLES):
         raise BagError(f"{path}: no such role {min(unknown)!r} to remap; roles are {', '.join(ROLES)}")
-    names = {**TOPICS, **topics}
-    metadata, table, messages = _load(path, names)
-    present = {info.topic for info in table}
-    for role in ("vehicle", "pendulum", *topics):
-        if names[role] not in present:
-            raise BagError(
-                f"{path}: no topic {names[role]} ({role}); the bag holds {', '.join(sorted(present)) or 'none'}. "
-                f'Say which one it is: read(path, topics={{"{role}": "/its/name"}}), or --topic {role}=/its/name'
-            )
-        if role in ("vehicle", "pendulum") and not messages[role]:
-            raise BagError(f"{path}: topic {names[role]} ({role}) is empty: was the body tracked and its name right?")
-    decoded = {}
-    for role, received in messages.items():
-        if received:
-            try:
-                decoded[role] = (
-                    _events(received, metadata.get("pushes")) if role == "events" else _decode(role, received)
-                )
-            except Exception as error:  # whatever the library raises on damaged bytes
-                raise BagError(f"{path}: topic {names[role]} ({role}): {_line(error)}") from error
+    try:
+        with opened(path) as source:
+            metadata = _metadata(path, source.custom)
+            places, guesses = places_of(source, path, topics)
+            gathered = _gathered(path, source, places, metadata.pop("messages", {}))
+    except BagError:
+        raise
+    except OSError as error:
+        raise BagError(f"{path}: cannot be opened ({_line(error)})") from error
+    except Exception as error:  # the library raises a dozen kinds on damage, from struct.error to MemoryError
+        raise BagError(f"{path}: {_damage(path, error)}") from error
+    notes, decoded = list(guesses), {}
+    for role, decoder in gathered.items():
+        with _named(path, places[role], role):
+            if role == "events":
+                decoded[role] = _events(decoder, metadata.get("pushes"))
+            else:
+                decoded[role] = _checked(role, decoder, source.topics[places[role].topic].type, notes)
+    for role in BODIES:
+        if not decoded.get(role):
+            raise BagError(f"{path}: topic {places[role]} ({role}) is empty: was the body tracked and its name right?")
     return Flight(
         path=path,
         metadata=metadata,
         events=decoded.pop("events", ()),
         start_ns=int(min(decoded["vehicle"].stamp[0], decoded["pendulum"].stamp[0])),
-        topics=table,
+        topics=_table(source, places),
+        notes=tuple(notes),
         **{role: decoded.get(role) for role in ROLES if role != "events"},
     )
 
 
-_Received = list[tuple[int, bytes]]  # log time in ns, message
-
-
-_Loaded = tuple[dict[str, Any], tuple[TopicInfo, ...], dict[str, _Received]]
-
-
-def _load(path: Path, names: Mapping[str, str]) -> _Loaded:
-    """Metadata, table of topics, and per role the messages as they lie in the bag, in the order of log time."""
-    source = _source(path)
-    try:
-        return _collect(source, names)
-    except BagError:
-        raise
-    except OSError as error:
-        raise BagError(f"{source}: cannot be opened ({_line(error)})") from error
-    except Exception as error:  # the library raises a dozen kinds on damage, from struct.error to MemoryError
-        raise BagError(f"{source}: {_damage(path, source, error)}") from error
-
-
-def _damage(path: Path, source: Path, error: Exception) -> str:
+def _damage(path: Path, error: Exception) -> str:
     """What is wrong with a bag that cannot be read, and what its user can do."""
     unfinished = (path / SIDECAR).exists()
     words = f"damaged or incomplete ({_line(error)})"
     if unfinished:
         words = "not finished: it is being recorded still, or its recording was killed"
     with suppress(BagError):
-        if count := intact_messages(source):
+        if count := intact_messages(path):
             return f"{words}. {count} messages are intact; into a new bag with: fip bag recover {path}"
     if unfinished:
         return f"{words}. It holds no message yet"
     return f"{words}. Nothing in it can be read: copy it again from where it was recorded, and keep this one"
 
 
-def _collect(source: Path, names: Mapping[str, str]) -> _Loaded:
-    roles: dict[str, list[str]] = {}
-    for role, topic in names.items():
-        roles.setdefault(topic, []).append(role)
-    with Reader(source) as reader:
-        connections = list(reader.connections)
-        metadata = _metadata(source, reader.storage.metadata.custom or embedded_metadata(source))
-        wanted = [connection for connection in connections if connection.topic in roles]
-        for connection in wanted:
-            for role in roles[connection.topic]:
-                if connection.msgtype != ROLES[role].type:
-                    raise BagError(
-                        f"{source}: topic {connection.topic} ({role}) is of type {connection.msgtype}, not "
-                        f"{ROLES[role].type}: convert it, or remap {role} to another topic"
-                    )
-        messages: dict[str, _Received] = {connection.topic: [] for connection in wanted}
-        if wanted:  # the library takes an empty selection for "all"
-            for connection, log_time, data in reader.messages(wanted):
-                messages[connection.topic].append((log_time, data))
-    counts: dict[str, int] = {}
-    for connection in connections:
-        counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+class _Messages:
+    """Gathers messages as they are, with their log times: for the few events, which are text."""
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self.messages: list[bytes] = []
+
+    def take(self, block: Block) -> None:
+        self.received += block.received.tolist()
+        self.messages += [block.message(index) for index in range(len(block.start))]
+
+
+@contextmanager
+def _named(path: Path, place: Place, role: str) -> Iterator[None]:
+    """Whatever goes wrong within is a BagError that names file, topic and role."""
+    try:
+        yield
+    except BagError:
+        raise
+    except Exception as error:  # whatever the library raises on damaged bytes
+        raise BagError(f"{path}: topic {place} ({role}): {_line(error)}") from error
+
+
+def _gathered(path: Path, source: Source, places: Mapping[str, Place], expected: Mapping[str, int]) -> dict[str, Any]:
+    """The numbers of each role that is recorded. Raises ValueError if messages are missing."""
+    gathered: dict[str, Any] = {}
+    for role, place in places.items():
+        if (stored := source.topics.get(place.topic)) and stored.count:
+            gathered[role] = _Messages() if role == "events" else Decoder(stored, place.body)
+    found: Counter[str] = Counter()
+    for block in source.blocks({places[role].topic for role in gathered}):
+        found[block.topic] += len(block.start)
+        for role, decoder in gathered.items():
+            if places[role].topic == block.topic:
+                with _named(path, places[role], role):
+                    decoder.take(block)
     # A damaged index hides messages silently: what was counted while recording must be there.
-    for topic, count in {**counts, **metadata.pop("messages", {})}.items():
-        found = len(messages[topic]) if topic in messages else counts.get(topic, 0)
-        if found != count:
-            raise ValueError(f"topic {topic} should hold {count} messages and holds {found}")
-    types = {connection.topic: connection.msgtype for connection in connections}
-    table = tuple(TopicInfo(t, types[t], counts[t], ", ".join(roles.get(t, ()))) for t in sorted(types))
-    return metadata, table, {role: messages.get(topic, []) for role, topic in names.items()}
+    counts = {topic: stored.count for topic, stored in source.topics.items()}
+    wanted = {place.topic for place in places.values()}
+    for topic, count in {**counts, **expected}.items():
+        there = found[topic] if topic in wanted else counts.get(topic, 0)
+        if there != count:
+            raise ValueError(f"topic {topic} should hold {count} messages and holds {there}")
+    return gathered
 
 
-def _source(path: Path) -> Path:
-    """What to hand to the library: a bag's directory, or a storage file."""
-    if not path.exists():
-        raise BagError(f"{path}: no such file or directory")
-    if path.is_file():
-        if path.suffix not in (".mcap", ".db3"):
-            raise BagError(f"{path}: not a bag; give the bag's directory or its .mcap file")
-        return path
-    if (path / "metadata.yaml").exists():
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise BagError(f"{path}: not a bag: neither metadata.yaml nor exactly one .mcap file (there are {len(files)})")
-    return files[0]
+def _table(source: Source, places: Mapping[str, Place]) -> tuple[TopicInfo, ...]:
+    roles: dict[str, list[str]] = {}
+    for role, place in places.items():
+        roles.setdefault(place.topic, []).append(f"{role} ({place.body})" if place.body else role)
+    return tuple(
+        TopicInfo(topic, stored.type, stored.count, ", ".join(roles.get(topic, ())))
+        for topic, stored in sorted(source.topics.items())
+    )
 
 
 def _metadata(source: Path, entries: Mapping[str, Any]) -> dict[str, Any]:
@@ -176,17 +168,18 @@ def _metadata(source: Path, entries: Mapping[str, Any]) -> dict[str, Any]:
     return metadata
 
 
-def _decode(role: str, received: _Received) -> Poses | Series:
-    """Arrays of one topic, checked. Raises ValueError with what is wrong and what to do."""
+def _checked(role: str, decoder: Decoder, kind: str, notes: list[str]) -> Poses | Series | None:
+    """Arrays of one topic, checked; None if nothing of use is left. Raises ValueError with what is wrong."""
     entry = ROLES[role]
-    data = [message for _, message in received]
-    first = typestore().deserialize_cdr(data[0], entry.type)
-    names = tuple(getattr(first, "name", ()))
-    if entry.type == JOINTS and names != entry.names:
-        raise ValueError(f"its names are {', '.join(names) or 'none'}, not {', '.join(entry.names)}: rename or remap")
-    layout = Layout.of(entry.type, first.header.frame_id, names)
-    stamp, values = layout.decode(data) or _decode_one_by_one(entry.type, data)
+    if decoder.names is not None and decoder.names != entry.names:
+        names = ", ".join(decoder.names) or "none"
+        raise ValueError(f"its names are {names}, not {', '.join(entry.names)}: rename or remap")
+    stamp, received, values = decoder.arrays()
+    if role == "command":
+        stamp, values = _commands(kind, stamp, values, notes)
     values = values[:, : len(entry.names)]
+    if not len(stamp):
+        return None
     _check_stamps(stamp, strict=role != "length")
     # Only the estimate and its deviation may be absent (NaN): before the first estimate there is none.
     finite = np.isfinite(values[:, :1] if role == "length" else values).all(axis=1)
@@ -196,7 +189,7 @@ def _decode(role: str, received: _Received) -> Poses | Series:
             f"message {at} of {len(stamp)} holds a NaN or infinite number, {len(stamp) - int(finite.sum())} do in all: "
             "cut the bag to where all numbers are known (a body that is not tracked has no pose)"
         )
-    if entry.type != POSE:
+    if role not in BODIES:
         return Series(_frozen(stamp), _frozen(values), entry.names, entry.units)
     norm = np.linalg.norm(values[:, 3:], axis=1)
     if (off := np.abs(norm - 1.0) > 1e-3).any():
@@ -205,36 +198,27 @@ def _decode(role: str, received: _Received) -> Poses | Series:
             f"the quaternion of message {at} has norm {norm[at]:.4g}, not 1: a driver fault; "
             "normalise the orientations, or cut the bag to where they are right"
         )
-    log_time = np.array([log_time for log_time, _ in received], np.int64)
-    return Poses(_frozen(stamp), _frozen(log_time), _frozen(values[:, :3]), _frozen(values[:, 3:]))
+    return Poses(_frozen(stamp), _frozen(received), _frozen(values[:, :3]), _frozen(values[:, 3:]))
 
 
-def _decode_one_by_one(message_type: str, data: Sequence[bytes]) -> tuple[np.ndarray, np.ndarray]:
-    """The slow way, for messages that differ in more than their numbers: another frame id, byte order, padding."""
-    stamps, rows, names = [], [], None
-    for message in (typestore().deserialize_cdr(raw, message_type) for raw in data):
-        time = message.header.stamp
-        stamps.append(time.sec * NANO + time.nanosec)
-        if message_type == POSE:
-            p, q = message.pose.position, message.pose.orientation
-            rows.append((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-        elif message_type == POINT:
-            rows.append((message.point.x, message.point.y, message.point.z))
-        elif message_type == JOINTS:
-            names = names or message.name
-            if message.name != names or len(message.position) != len(names):
-                raise ValueError(f"message {len(rows)} has other names than the first, or not one position for each")
-            rows.append(tuple(message.position))
-        else:
-            if message.type_mask & IGNORE_RATES:
-                raise ValueError(f"message {len(rows)} commands no body rates (type_mask {message.type_mask})")
-            rows.append((message.body_rate.x, message.body_rate.y, message.body_rate.z, message.thrust))
-    return np.array(stamps, np.int64), np.array(rows, np.float64)
+def _commands(kind: str, stamp: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Body rates and thrust out of the commands of any type."""
+    if kind == RATES:  # x forward, y right, z down, and the three components of a thrust
+        notes.append("the commands have no header of ROS: the times at which they were logged stand for their stamps")
+        return stamp, values[:, [0, 1, 2, 5]] * [1.0, -1.0, -1.0, -1.0]
+    if kind != ATTITUDE:
+        return stamp, values
+    rates = values[:, 4].astype(int) & IGNORE_RATES == 0
+    if not rates.all():
+        without = len(rates) - int(rates.sum())
+        notes.append(f"{without} of {len(rates)} commands hold no body rates (type_mask): they are left out")
+    return stamp[rates], values[rates]
 
 
-def _events(received: _Received, pushes: Any) -> tuple[Event, ...]:
+def _events(received: _Messages, pushes: Any) -> tuple[Event, ...]:
     levels = {number: name for name, number in LEVELS.items()}
-    messages = [typestore().deserialize_cdr(data, ROLES["events"].type) for _, data in received]
+    order = np.argsort(received.received, kind="stable")
+    messages = [typestore().deserialize_cdr(received.messages[index], ROLES["events"].type) for index in order]
     stamps = np.array([message.stamp.sec * NANO + message.stamp.nanosec for message in messages], np.int64)
     _check_stamps(stamps, strict=False)
     events, left = [], [push for push in pushes if isinstance(push, dict)] if isinstance(pushes, list) else []

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import get_qos
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 from fiplib.bags.mcap import Gap, Remains
-from fiplib.bags.messages import SIDECAR, genuine
+from fiplib.bags.messages import SIDECAR, definitions, genuine, unpacked
 from fiplib.bags.writer import close_bag, open_bag
 from fiplib.params import NANO
 from fiplib.recording import BagError
@@ -108,7 +107,7 @@ def recover(source: str | Path, output: str | Path | None = None) -> Recovery:
     output = Path(output) if output else source.parent / f"{name}-recovered"
     if source.is_dir() and output.resolve().is_relative_to(source.resolve()):
         raise BagError(f"{output}: lies inside {source}, which is to stay as it is: choose another --output")
-    remains = [Remains(_content(file)) for file in files]
+    remains = [_remains(file) for file in files]
     if not any(rest.counts for rest in remains):
         kind = "no complete message is left in it" if any(rest.magic for rest in remains) else "it is no MCAP recording"
         raise BagError(f"{source}: nothing to recover: {kind}")
@@ -117,7 +116,7 @@ def recover(source: str | Path, output: str | Path | None = None) -> Recovery:
 
 def intact_messages(source: Path) -> int:
     """How many messages ``recover`` would save."""
-    return sum(sum(Remains(_content(file)).counts.values()) for file in _files(source))
+    return sum(sum(_remains(file).counts.values()) for file in _files(source))
 
 
 def _files(source: Path) -> list[Path]:
@@ -129,9 +128,9 @@ def _files(source: Path) -> list[Path]:
     return files
 
 
-def _content(file: Path) -> bytes:
+def _remains(file: Path) -> Remains:
     try:
-        return file.read_bytes()
+        return Remains(file)
     except OSError as error:
         raise BagError(f"{file}: cannot be opened ({error.strerror})") from error
 
@@ -168,7 +167,7 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recove
                         offered_qos_profiles=_qos(topic.metadata),
                     )
             for topic, log_time, data in rest.messages():
-                writer.write(connections[topic[:2]], log_time, data)
+                writer.write(connections[topic[:2]], log_time, unpacked(data))
                 counts[topic.name] += 1
         close_bag(writer, entries, counts)
     except BaseException as error:
@@ -199,9 +198,7 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recove
 def _type_hash(kind: str, definition: str) -> str:
     """The hash by which ROS 2 names a message definition."""
     with suppress(Exception):  # a definition that the library cannot parse: no reader of bags needs the hash
-        store, idl = get_typestore(Stores.EMPTY), definition.startswith("=" * 80 + "\nIDL: ")
-        store.register(get_types_from_idl(definition) if idl else get_types_from_msg(definition, kind))
-        return store.hash_rihs01(kind)
+        return definitions(kind, definition).hash_rihs01(kind)
     return f"RIHS01_{0:064}"
 
 

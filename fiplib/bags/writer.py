@@ -3,7 +3,6 @@
 import functools
 import json
 import struct
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from operator import itemgetter
@@ -14,14 +13,9 @@ from typing import Any, Self
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
-from fiplib.bags.messages import Layout, checksum, typestore
+from fiplib.bags.messages import Layout, checksum, typestore, zstd
 from fiplib.params import NANO
 from fiplib.recording import JOINTS, LEVELS, LOG, ORIGINS, ROLES, BagError, Recorder
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd  # the copy that rosbags itself depends on
 
 
 def open_bag(path: Path) -> Writer:

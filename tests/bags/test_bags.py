@@ -4,8 +4,11 @@ import argparse
 import json
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +17,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from fiplib import recording
 from fiplib.bags import command as bag_command
 from fiplib.bags import messages as layouts
-from fiplib.bags import reader as bag_reader
+from fiplib.bags.decoding import Decoder
 from fiplib.bags.reader import read
+from fiplib.bags.recovery import recover
+from fiplib.bags.sources import Block, Stored
 from fiplib.bags.writer import BagRecorder
 from fiplib.params import STATE_NAMES, FipError, Params
 from fiplib.recording import BagError, Event
@@ -249,6 +257,16 @@ def test_an_independent_reader_agrees_on_every_value(bag: Path) -> None:
     assert tuple(seen["events"]) == tuple(event[:4] for event in flight.events)
 
 
+def decoded(kind: str, messages: list[bytes], body: str = "", definition: str = "") -> tuple[np.ndarray, ...]:
+    """Stamps, log times and values of messages that lie in one piece of memory, each behind some other bytes."""
+    decoder = Decoder(Stored(kind, len(messages), definition), body)
+    end = np.cumsum([len(message) + 3 for message in messages])
+    start = end - [len(message) for message in messages]
+    content = b"".join(b"\xff\xff\xff" + message for message in messages)
+    decoder.take(Block("/topic", np.arange(len(messages)), content, start, end))
+    return decoder.arrays()
+
+
 @pytest.mark.parametrize("kind", [recording.POSE, recording.POINT, recording.JOINTS, recording.ATTITUDE])
 @pytest.mark.parametrize("frame", ["", "w", "map", "world", "a_frame_of_some_length"])
 def test_the_vectorised_decoder_agrees_with_the_library(kind: str, frame: str) -> None:
@@ -257,14 +275,96 @@ def test_the_vectorised_decoder_agrees_with_the_library(kind: str, frame: str) -
     rng = np.random.default_rng(len(frame))
     rows = rng.standard_normal((5, layout.doubles + layout.singles)).astype(np.float32).astype(float)
     messages = [layout.encode(10**18 + i, row) for i, row in enumerate(rows)]
-    stamp, values = layout.decode(messages)
-    slow_stamp, slow_values = bag_reader._decode_one_by_one(kind, messages)
+    stamp, _, values = decoded(kind, messages)
     np.testing.assert_array_equal(stamp, 10**18 + np.arange(5))
-    np.testing.assert_array_equal(stamp, slow_stamp)
+    np.testing.assert_array_equal(values[:, : rows.shape[1]], rows)
+    store = layouts.typestore()
+    message = store.deserialize_cdr(messages[0], kind)
+    assert bytes(store.serialize_cdr(message, kind)) == messages[0]
+    turned = store.serialize_cdr(message, kind, little_endian=False)
+    np.testing.assert_array_equal(decoded(kind, [messages[1], bytes(turned)])[2], values[[1, 0]])
+
+
+TYPES = layouts.typestore().types
+
+
+def header(stamp: int, frame: str = "map") -> object:
+    return TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), frame)
+
+
+def made(kind: str, fields: dict[str, object], store: Typestore) -> object:
+    """A message of any type: zeros everywhere but where ``fields`` (``pose.position.x``) say otherwise."""
+
+    def build(node: Nodetype, detail: object, name: str) -> object:
+        if name in fields:
+            return fields[name]
+        if node == Nodetype.NAME:
+            inner = [build(*about, f"{name}.{field}".lstrip(".")) for field, about in store.fielddefs[detail][1]]
+            return store.types[detail](*inner)
+        if node == Nodetype.BASE:
+            return "" if detail[0] == "string" else 0
+        (inner, _), count = detail
+        assert inner == Nodetype.BASE or node == Nodetype.SEQUENCE
+        return np.zeros(count) if node == Nodetype.ARRAY else []
+
+    return build(Nodetype.NAME, kind, "")
+
+
+NAMED_POSES = (
+    "std_msgs/Header header\nmotion_capture_tracking_interfaces/NamedPose[] poses\n"
+    + "=" * 80
+    + "\nMSG: motion_capture_tracking_interfaces/NamedPose\nstring name\ngeometry_msgs/Pose pose\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [
+        ("geometry_msgs/msg/PoseWithCovarianceStamped", "pose.pose"),
+        ("nav_msgs/msg/Odometry", "pose.pose"),
+        ("geometry_msgs/msg/TransformStamped", "transform"),
+    ],
+)
+def test_a_pose_is_found_in_any_type_that_carries_one(kind: str, place: str) -> None:
+    store = layouts.typestore()
+    names = ("translation", "rotation") if place == "transform" else ("position", "orientation")
+    rows = np.random.default_rng(0).standard_normal((6, 7))
+    messages = []
+    for i, row in enumerate(rows):
+        fields = {f"{place}.{names[0]}.{axis}": x for axis, x in zip("xyz", row, strict=False)}
+        fields |= {f"{place}.{names[1]}.{axis}": x for axis, x in zip("xyzw", row[3:], strict=True)}
+        fields |= {"header": header(10**18 + i, "w" * (i % 3)), "child_frame_id": "body"[: i % 2]}
+        messages.append(bytes(store.serialize_cdr(made(kind, fields, store), kind)))
+    stamp, received, values = decoded(kind, messages)
+    np.testing.assert_array_equal(stamp, 10**18 + np.arange(6))
+    np.testing.assert_array_equal(received, np.arange(6))
     np.testing.assert_array_equal(values, rows)
-    np.testing.assert_array_equal(values, slow_values)
-    message = layouts.typestore().deserialize_cdr(messages[0], kind)
-    assert bytes(layouts.typestore().serialize_cdr(message, kind)) == messages[0]
+
+
+def transforms(names: list[str], stamp: int, row: np.ndarray) -> bytes:
+    """A message of tf whose i-th child lies at ``row`` + i."""
+    vector, turn = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Quaternion"]
+    moved = [TYPES["geometry_msgs/msg/Transform"](vector(*(row[:3] + i)), turn(*row[3:])) for i in range(len(names))]
+    kind = "geometry_msgs/msg/TransformStamped"
+    found = [TYPES[kind](header(stamp), name, transform) for name, transform in zip(names, moved, strict=True)]
+    return bytes(layouts.typestore().serialize_cdr(TYPES[TF](found), TF))
+
+
+TF = "tf2_msgs/msg/TFMessage"
+
+
+def test_a_body_is_found_in_tf_wherever_it_stands_in_a_message() -> None:
+    """Several children in one message, in any order, or one of them alone; others come and go."""
+    lists = [["quad", "rod"], ["rod"], ["camera"], ["rod", "a", "quad"], [], ["rod", "quad"]]
+    rows = np.random.default_rng(1).standard_normal((len(lists), 7))
+    messages = [transforms(names, 10**18 + i, row) for i, (names, row) in enumerate(zip(lists, rows, strict=True))]
+    for body in ("quad", "rod"):
+        stamp, received, values = decoded(TF, messages, body)
+        expected = [i for i, names in enumerate(lists) if body in names]
+        np.testing.assert_array_equal(received, expected)
+        np.testing.assert_array_equal(stamp, 10**18 + np.array(expected))
+        shift = np.array([lists[i].index(body) for i in expected])
+        np.testing.assert_array_equal(values[:, :3], rows[expected, :3] + shift[:, None])
 
 
 # --- the recorder --------------------------------------------------------------------------------------------------
@@ -321,17 +421,19 @@ def test_a_flight_that_ends_by_an_exception_is_recorded_up_to_there(tmp_path: Pa
 
 # --- bags of others ------------------------------------------------------------------------------------------------
 
-TYPES = layouts.typestore().types
-
 
 def foreign(
     path: Path,
     messages: list[tuple[str, str, int, bytes]],
     storage: StoragePlugin = StoragePlugin.MCAP,
     metadata: dict[str, str] | None = None,
+    compression: CompressionMode | None = None,
 ) -> Path:
     """A bag made by the library alone: (topic, type, log time, message)."""
-    with Writer(path, version=9, storage_plugin=storage) as writer:
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compression:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         for key, value in (metadata or {}).items():
             writer.set_custom_data(key, value)
         connections = {}
@@ -406,15 +508,183 @@ def test_topics_can_be_remapped(tmp_path: Path) -> None:
 
 
 def test_a_missing_topic_is_named_with_those_present_and_the_way_to_remap(tmp_path: Path) -> None:
-    lab = foreign(tmp_path / "lab", poses("/vrpn_mocap/quad/pose") + poses("/mocap/pendulum/pose"))
+    bodies = poses("/vrpn_mocap/one/pose") + poses("/vrpn_mocap/two/pose")  # at the same height
+    lab = foreign(tmp_path / "lab", bodies + poses("/mocap/pendulum/pose"))
     with pytest.raises(BagError) as caught:
         read(lab)
-    for words in (str(lab), "/mocap/quad/pose (vehicle)", "/vrpn_mocap/quad/pose", "topics={", "--topic vehicle="):
+    for words in (str(lab), "/mocap/quad/pose (vehicle)", "/vrpn_mocap/one/pose", "topics={", "--topic vehicle="):
         assert words in str(caught.value)
     with pytest.raises(BagError, match=r"no topic /elsewhere \(state\)"):
-        read(lab, {"vehicle": "/vrpn_mocap/quad/pose", "state": "/elsewhere"})
+        read(lab, {"vehicle": "/vrpn_mocap/one/pose", "state": "/elsewhere"})
     with pytest.raises(BagError, match="no such role 'quad'"):
         read(lab, {"quad": "/vrpn_mocap/quad/pose"})
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "pendulum", "others"),
+    [
+        ("/uav1/vrpn_mocap/quad_01/pose", "/uav1/vrpn_mocap/rod/pose", []),
+        ("/natnet_ros/cf2/pose", "/natnet_ros/stick/pose", ["/cf2/setpoint/pose", "/natnet_ros/wand/pose"]),
+        ("/vicon/frame/pose", "/vicon/Pendulum/pose", ["/frame/goal_pose"]),
+        ("/mocap/quad/pose", "/vrpn_mocap/thing/pose", []),
+        ("/optitrack/drone/pose", "/optitrack/x/pose", []),
+        ("/vrpn_mocap/uav/pose", "/vrpn_mocap/pole/pose", ["/mavros/local_position/pose"]),
+    ],
+)
+def test_bodies_are_guessed_by_their_names_and_the_guess_is_said(
+    tmp_path: Path, vehicle: str, pendulum: str, others: list[str]
+) -> None:
+    topics = [vehicle, pendulum, *others]
+    if vehicle.startswith("/mocap"):  # the default is there: only the other is guessed
+        with pytest.raises(BagError, match="no topic /mocap/pendulum/pose"):
+            read(foreign(tmp_path / "doubt", [m for topic in (*topics, "/vrpn_mocap/that/pose") for m in poses(topic)]))
+    flight = read(foreign(tmp_path / "lab", [m for topic in topics for m in poses(topic)]))
+    roles = {info.role: info.topic for info in flight.topics if info.role}
+    assert roles == {"vehicle": vehicle, "pendulum": pendulum}
+    for role, topic in roles.items():
+        guessed = topic != recording.TOPICS[role]
+        assert any(note.startswith(f"{topic} is taken for the {role}") for note in flight.notes) == guessed
+
+
+def test_bodies_without_a_telling_name_are_guessed_by_their_heights(tmp_path: Path) -> None:
+    layout = layouts.Layout.of(recording.POSE, "map")
+    high = [
+        ("/tracker/a", kind, time, layout.encode(10**18 + i, (0, 0, 1.5, 0, 0, 0, 1)))
+        for i, (_, kind, time, _) in enumerate(poses("/tracker/a"))
+    ]
+    flight = read(foreign(tmp_path / "lab", high + poses("/tracker/b")))
+    assert (flight.vehicle.position[0, 2], flight.pendulum.position[0, 2]) == (1.0, 1.5)
+    assert "/tracker/a is taken for the pendulum, as it is the higher one" in flight.notes[1]
+    with pytest.raises(BagError, match=r"no topic /mocap/quad/pose"):
+        read(foreign(tmp_path / "level", poses("/tracker/a") + poses("/tracker/b")))
+
+
+def test_one_of_several_bodies_in_a_topic_can_be_named(tmp_path: Path) -> None:
+    rows = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
+    messages = [("/tf", TF, i, transforms(["one", "two"], 10**18 + i, row)) for i, row in enumerate(rows)]
+    lab = foreign(tmp_path / "lab", messages)
+    flight = read(lab, {"vehicle": "/tf:two", "pendulum": "/tf:one"})
+    assert (flight.vehicle.position[0, 2], flight.pendulum.position[0, 2]) == (2.0, 1.0)
+    assert [info.role for info in flight.topics] == ["vehicle (two), pendulum (one)"] and flight.notes == ()
+    assert read(lab).pendulum.position[0, 2] == 2.0  # by its height
+    with pytest.raises(BagError, match="holds several bodies, one, two: say which one"):
+        read(lab, {"vehicle": "/tf", "pendulum": "/tf:one"})
+    with pytest.raises(BagError, match=r"topic /tf:three \(pendulum\) is empty"):
+        read(lab, {"vehicle": "/tf:two", "pendulum": "/tf:three"})
+
+
+def test_rigid_bodies_of_a_type_that_only_the_bag_defines_are_found_by_name(tmp_path: Path) -> None:
+    kind = "motion_capture_tracking_interfaces/msg/NamedPoseArray"
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(NAMED_POSES, kind))
+    types, path = store.types, tmp_path / "lab"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/poses", kind, typestore=store)
+        for i in range(4):
+            places = [types["geometry_msgs/msg/Point"](0.1 * i, 0.0, z) for z in (1.0, 1.5)]
+            turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+            bodies = [
+                types["motion_capture_tracking_interfaces/msg/NamedPose"](
+                    name, types["geometry_msgs/msg/Pose"](at, turn)
+                )
+                for name, at in zip(("cf7", "rod"), places, strict=True)
+            ]
+            writer.write(connection, i, bytes(store.serialize_cdr(types[kind](header(10**18 + i), bodies), kind)))
+    flight = read(path)
+    assert (flight.vehicle.position[3, 0], flight.pendulum.position[0, 2]) == (pytest.approx(0.3), 1.5)
+    assert flight.notes[0].startswith("/poses:cf7 is taken for the vehicle, by its name")
+
+
+def test_commands_of_other_types_are_read(tmp_path: Path) -> None:
+    store = layouts.typestore()
+    kind, twist = "geometry_msgs/msg/TwistStamped", {"twist.angular.x": 0.1, "twist.angular.z": 0.3}
+    twist |= {"twist.linear.z": 0.5, "header": header(10**18)}
+    data = bytes(store.serialize_cdr(made(kind, twist, store), kind))
+    velocity = ("/vrpn_mocap/quad/twist", kind, 0, data)  # a twist that commands nothing
+    flight = read(foreign(tmp_path / "lab", [*MOCAP, velocity, ("/cmd_rates", kind, 0, data)]))
+    np.testing.assert_array_equal(flight.command.values, [[0.1, 0.0, 0.3, 0.5]])
+    assert read(foreign(tmp_path / "measured", [*MOCAP, velocity])).command is None
+    kind, other = "px4_msgs/msg/VehicleRatesSetpoint", get_typestore(Stores.ROS2_HUMBLE)
+    text = "uint64 timestamp\nfloat32 roll\nfloat32 pitch\nfloat32 yaw\nfloat32[3] thrust_body\nbool reset_integral"
+    other.register(get_types_from_msg(text, kind))
+    rates = {"roll": 0.5, "pitch": 0.25, "yaw": -1.0, "thrust_body": np.array([0, 0, -0.75], np.float32)}
+    data = bytes(other.serialize_cdr(made(kind, rates, other), kind))
+    with Writer(tmp_path / "px4", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, name, time, message in MOCAP:
+            link = next((one for one in writer.connections if one.topic == topic), None)
+            writer.write(link or writer.add_connection(topic, name, typestore=store), time, message)
+        writer.write(writer.add_connection("/fmu/in/vehicle_rates_setpoint", kind, typestore=other), 7, data)
+    flight = read(tmp_path / "px4")
+    np.testing.assert_array_equal(flight.command.values, [[0.5, -0.25, 1.0, 0.75]])  # x forward, y left, z up
+    assert flight.command.stamp.tolist() == [7] and "no header" in flight.notes[-1]
+
+
+def split(folder: Path, bag: Path) -> Path:
+    """The messages of a bag in two files, one after the other."""
+    folder.mkdir()
+    with Reader(bag) as reader:
+        found = [(link.topic, link.msgtype, time, data) for link, time, data in reader.messages()]
+    for i, part in enumerate((found[len(found) // 2 :], found[: len(found) // 2])):  # the later one first
+        half = foreign(folder.parent / f"half_{i}", part)
+        shutil.move(half / f"half_{i}.mcap", folder / f"lab_{i}.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("how", ["split", "renamed", "newer", "file", "file, bare", "message", "message, bare", "db3"])
+def test_the_same_flight_comes_out_of_every_storage(bag: Path, tmp_path: Path, how: str) -> None:
+    with Reader(bag) as reader:
+        found = [(link.topic, link.msgtype, time, data) for link, time, data in reader.messages()]
+    mode = {"file": CompressionMode.FILE, "message": CompressionMode.MESSAGE}.get(how.partition(",")[0])
+    storage = StoragePlugin.SQLITE3 if how == "db3" else StoragePlugin.MCAP
+    path = foreign(tmp_path / "lab", found, storage, compression=mode)
+    if how == "split":
+        path = split(tmp_path / "split", path)
+    elif how == "renamed":
+        (path / "lab.mcap").rename(path / "flight of today.mcap")
+    elif how == "newer":
+        text = (path / "metadata.yaml").read_text()
+        (path / "metadata.yaml").write_text(text.replace("version: 9", "version: 10"))
+    if "bare" in how or how == "db3":
+        (path / "metadata.yaml").unlink()
+    flight, whole = read(path), read(bag)
+    assert {name: array.tobytes() for name, array in arrays(flight).items()} == {
+        name: array.tobytes() for name, array in arrays(whole).items()
+    }
+    if "message" in how:  # and what is recovered is not compressed twice
+        with Reader(recover(path).output) as reader:
+            assert [data for _, _, data in reader.messages()] == [data for *_, data in found]
+
+
+def test_a_bag_of_ros_1_is_named_with_the_converter(tmp_path: Path) -> None:
+    (tmp_path / "lab.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(BagError, match=r"ROS 1; .* rosbags-convert --src .*lab\.bag --dst .*lab$"):
+        read(tmp_path / "lab.bag")
+
+
+MEMORY = """
+import resource, sys
+import numpy as np
+from fiplib.bags import read
+kilobytes = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before, flight = kilobytes(), read(sys.argv[1])
+print(before, kilobytes(), len(flight.vehicle.stamp))
+"""
+
+
+def test_a_camera_beside_the_poses_costs_no_memory(tmp_path: Path) -> None:
+    """64 MB of pictures between the poses: a reader that kept a tenth of them would show."""
+    kind = "std_msgs/msg/ByteMultiArray"
+    store = layouts.typestore()
+    picture = np.random.default_rng(0).integers(0, 256, 1 << 19, np.uint8)
+    empty = TYPES["std_msgs/msg/MultiArrayLayout"]([], 0)
+    data = bytes(store.serialize_cdr(TYPES[kind](empty, picture), kind))
+    found = poses("/mocap/quad/pose", count=1280) + poses("/mocap/pendulum/pose", count=1280)
+    found += [("/camera", kind, 10**18 + i * 10 * PERIOD, data) for i in range(128)]
+    path = foreign(tmp_path / "lab", sorted(found, key=itemgetter(2)))
+    for place in (path, path / "lab.mcap"):
+        done = subprocess.run([sys.executable, "-c", MEMORY, str(place)], capture_output=True, text=True, check=True)
+        before, after, count = map(int, done.stdout.split())
+        assert count == 1280 and after - before < 1.5 * 2**14  # 24 MiB, most of it code and definitions
 
 
 def test_messages_that_differ_in_frame_or_byte_order_are_read_too(tmp_path: Path) -> None:
@@ -451,7 +721,7 @@ def joints(names: list[str], count: int) -> bytes:
 def changed(index: int, **changes: object) -> list[tuple[str, str, int, bytes]]:
     """The mocap messages with message ``index`` of the vehicle changed: its stamp, position or orientation."""
     topic, kind, time, data = MOCAP[index]
-    stamp, values = layouts.Layout.of(recording.POSE, "map").decode([data])
+    stamp, _, values = decoded(recording.POSE, [data])
     row = [*changes.get("position", values[0, :3]), *changes.get("orientation", values[0, 3:])]
     data = layouts.Layout.of(recording.POSE, "map").encode(int(changes.get("stamp", stamp[0])), row)
     return [*MOCAP[:index], (topic, kind, time, data), *MOCAP[index + 1 :]]
@@ -500,11 +770,6 @@ FAULTS = {
         "/fip/state",
         "message 1 has other names",
     ),
-    "attitude command": (
-        [*MOCAP, ("/fip/command", recording.ATTITUDE, 0, command(7))],
-        "/fip/command",
-        "no body rates",
-    ),
     "message of one byte": ([("/mocap/quad/pose", recording.POSE, 0, b"x"), *MOCAP[5:]], "quad/pose", "CDR"),
     "message cut short": (
         [*MOCAP[:4], (*MOCAP[4][:3], MOCAP[4][3][:40]), *MOCAP[5:]],
@@ -521,6 +786,22 @@ def test_each_fault_of_a_topic_is_one_line_with_file_and_topic(tmp_path: Path, f
     with pytest.raises(BagError, match=words) as caught:
         read(lab)
     assert str(lab) in str(caught.value) and topic in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_commands_without_body_rates_are_left_out_and_counted(tmp_path: Path) -> None:
+    masks = (128, 7, 128 + 2, 64)
+    messages = [*MOCAP]
+    for i, mask in enumerate(masks):
+        data = bytearray(command(mask))
+        data[8] = i  # the stamp, in ns
+        messages.append(("/fip/command", recording.ATTITUDE, i, bytes(data)))
+    flight = read(foreign(tmp_path / "lab", messages))
+    np.testing.assert_array_equal(flight.command.stamp, [0, 3])
+    assert flight.notes == ("2 of 4 commands hold no body rates (type_mask): they are left out",)
+    flight = read(foreign(tmp_path / "none", messages[:-3] + messages[-3:-1]))
+    assert len(flight.command.stamp) == 1
+    flight = read(foreign(tmp_path / "all", [*MOCAP, messages[-3]]))
+    assert flight.command is None and "1 of 1 commands" in flight.notes[0]
 
 
 def test_an_attitude_that_is_sent_along_does_not_disturb_the_rates(tmp_path: Path) -> None:
@@ -650,7 +931,8 @@ def test_no_flipped_bit_of_the_index_passes_as_another_flight(bag: Path, tmp_pat
         damaged = bytearray(data)
         damaged[at] ^= int(rng.integers(1, 256))
         tally[outcome(whole, tmp_path, files | {"flight.mcap": bytes(damaged)}, bare=at % 2 == 0)] += 1
-    assert tally["refused"] > 20  # otherwise the bytes that matter were not among them
+    # Otherwise the bytes that matter were not among them: sizes and times of a chunk are taken from the chunk itself.
+    assert tally["refused"] > 10
 
 
 # --- command line --------------------------------------------------------------------------------------------------

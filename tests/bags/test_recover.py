@@ -287,6 +287,17 @@ def test_files_of_another_writer_come_back_too(tmp_path: Path, chunking: bool, c
     assert len(recovery.gaps) == 1
 
 
+def test_messages_of_an_uncompressed_chunk_before_the_damage_are_not_found_twice(tmp_path: Path) -> None:
+    source = foreign(tmp_path / "theirs", poses("/quad", count=40))  # the library compresses nothing
+    content = mcap(source).read_bytes()
+    with mcap(source).open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[0]
+    end = chunk.chunk_start_offset + chunk.chunk_length
+    mcap(source).write_bytes(content[:end] + bytes(3 << 20) + content[end:])
+    recovery = recover(source)
+    assert [topic.count for topic in recovery.saved] == [40] and recovery.gaps[0].size >= 3 << 20
+
+
 def test_a_chunk_without_messages_is_no_damage(tmp_path: Path) -> None:
     with (tmp_path / "theirs.mcap").open("wb") as stream:
         writer = McapWriter(stream, compression=CompressionType.ZSTD)
