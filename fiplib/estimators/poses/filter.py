@@ -15,7 +15,8 @@ specific thrust, w = u' its rate and e_x = u / g, the derivatives of u are integ
 The specific thrust u is close to a random walk. Not quite: controller and rate loop colour its rate, w'' + 2 zeta
 omega w' + omega^2 w = omega^2 (n + T n'), n white noise of density q_n, and all four of these numbers are estimated.
 
-What is of second order, q . U and |q'|^2, comes from smoothed poses. The measured rows, each at its own stamp, are
+What is of second order comes from smoothed poses: q . U, |q'|^2, and what g stands for in e = u / g: F / M, and for
+changes of e, (F / M) / (1 - |e_xy|^2): a large tilt is an oscillation and changes mostly along itself. The rows, each at its own stamp, are
 
     vehicle  s - (h / g) u                  tilt       (g + z'') e_x / e_z = u + c_tilt
     rod      s + rho q + c_rod              direction  q + c_direction
@@ -69,8 +70,8 @@ class Rows(NamedTuple):
     """Measured rows sorted by time.
 
     ``time`` (n,) s; ``kind`` (n,); ``value`` (n, axes) m, m/s^2 or 1; ``scale`` (n,) the factor on the kind's noise;
-    ``lift`` (n,) q . U in m/s^2, ``spin`` (n,) |q'|^2 in 1/s^2 and ``pull`` (n,) F / M in m/s^2, all smoothed;
-    ``tilt`` (n, axes) the value of the tilt's row of the same pose, m/s^2, or 0.
+    ``lift`` (n,) q . U in m/s^2, ``spin`` (n,) |q'|^2 in 1/s^2, ``pull`` (n,) F / M in m/s^2 and ``turn`` (n,) de/du in
+    s^2/m, all smoothed; ``tilt`` (n, axes) the value of the tilt's row of the same pose, m/s^2, or 0.
     """
 
     time: NDArray
@@ -80,6 +81,7 @@ class Rows(NamedTuple):
     lift: NDArray
     spin: NDArray
     pull: NDArray
+    turn: NDArray
     tilt: NDArray
 
     def has(self, kind: int) -> bool:
@@ -148,7 +150,7 @@ def run(
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, pull, tilt, theta, steps, clock, x, p, total, score, fisher, innovation,
+    time, kind, value, scale, lift, spin, pull, turn, tilt, theta, steps, clock, x, p, total, score, fisher, innovation,
     deviation, sized,
 ):  # fmt: skip # pragma: no cover - compiled
     """Move ``clock`` (1,), ``x`` (axes, 10, lanes) and ``p`` (10, 10, lanes), lower half, over all rows.
@@ -177,7 +179,7 @@ def _recursion(
                 slot, oldest = oldest, (oldest + 1) % 4
                 ages[slot] = t
                 _prepare(t, c, same, integrals[slot], noise[slot], sized)
-            _transition(t, lift[row], spin[row], pull[row], c, integrals[slot], f, sized)
+            _transition(t, lift[row], spin[row], turn[row], c, integrals[slot], f, sized)
             for _ in range(pieces):
                 _predict(f, x, p, noise[slot], old, new, fp, sized)
             clock[0] = time[row]
@@ -324,10 +326,10 @@ def _prepare(t, c, same, kept, noise, sized):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _transition(t, lift, spin, pull, c, kept, f, sized):  # pragma: no cover - compiled
+def _transition(t, lift, spin, turn, c, kept, f, sized):  # pragma: no cover - compiled
     """Write the coefficients (23, lanes) of ``_move`` for a step of t s."""
     for lane in range(len(sized)):
-        per, arm, h = c[_PER, lane], c[_ARM, lane], c[_SEAT, lane] / pull
+        per, arm, h = c[_PER, lane], c[_ARM, lane], c[_SEAT, lane] * turn
         hs, hq = h * c[_KICK, lane], h * per
         w2 = lift * per - spin
         z = w2 * t * t

@@ -105,7 +105,8 @@ def _problem(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float) -
     lift = lean * force + np.sqrt(upright) * GRAVITY
     spin = rate**2 / upright - (speed / arm_radius) ** 2 * upright  # |q'|^2, and the centrifugal force of the arm
     parts = [(VEHICLE, base.time, place, None), (DIRECTION, angle.time, sine, None)]
-    rows = sorted_rows(parts, events, lift, spin, np.full(len(events), GRAVITY))
+    weight = np.full(len(events), GRAVITY)
+    rows = sorted_rows(parts, events, (lift, spin, weight, 1.0 / weight))
     floor = [max(quantum / math.sqrt(12.0), noise) for quantum, noise in zip(quanta, knowledge.noise, strict=True)]
     return Problem(rows, replace(knowledge, noise=(floor[0], floor[1])))
 

@@ -1,5 +1,6 @@
 """From the poses of two bodies to the measured rows of the filter."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -85,10 +86,12 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
             for column in block.T:
                 column[~near] = np.interp(events[~near], events[near], column[near])
     upright = np.sqrt(np.maximum(1.0 - np.sum(lean[0] ** 2, axis=1), 0.0))
+    pull = np.sqrt(np.sum(thrust**2, axis=1) + weight**2)
     second_order = (
         np.sum(lean[0] * thrust, axis=1) + upright * weight,
         np.sum(lean[1] ** 2, axis=1),
-        np.sqrt(np.sum(thrust**2, axis=1) + weight**2),
+        pull,
+        (1.0 - np.sum(thrust**2, axis=1) / pull**2) / pull,
     )
     parts: list[Part] = [(VEHICLE, vehicle.time, place[:, :2], None)]
     if vehicle.axis is not None:
@@ -98,7 +101,7 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
         parts.append((ROD, rod.time, (rod.position - vehicle.position[0] + place[0])[:, :2], None))
     if rod.axis is not None:
         parts.append((DIRECTION, rod.time, rod.axis[:, :2], None))
-    return sorted_rows(parts, events, *second_order)
+    return sorted_rows(parts, events, second_order)
 
 
 def _near(time: NDArray, events: NDArray) -> NDArray:
@@ -113,8 +116,8 @@ Part = tuple[int, NDArray, NDArray, NDArray | None]
 """Rows of one kind: the kind, times (n,), values (n, axes), and the factor (n,) on the kind's noise or None for 1."""
 
 
-def sorted_rows(parts: list[Part], events: NDArray, lift: NDArray, spin: NDArray, pull: NDArray) -> Rows:
-    """Return rows of several kinds, sorted; ``lift``, ``spin`` and ``pull`` belong to the times ``events``."""
+def sorted_rows(parts: list[Part], events: NDArray, second_order: Sequence[NDArray]) -> Rows:
+    """Return rows of several kinds, sorted; lift, spin, pull and turn belong to the times ``events``."""
     time = np.concatenate([part[1] for part in parts])
     kind = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
     value = np.concatenate([part[2] for part in parts])
@@ -123,4 +126,4 @@ def sorted_rows(parts: list[Part], events: NDArray, lift: NDArray, spin: NDArray
     tilt = np.concatenate([tilts[0] if tilts and part[0] == VEHICLE else np.zeros_like(part[2]) for part in parts])
     order = np.lexsort((kind, time))
     at = np.searchsorted(events, time[order])
-    return Rows(time[order], kind[order], value[order], scale[order], lift[at], spin[at], pull[at], tilt[order])
+    return Rows(time[order], kind[order], value[order], scale[order], *(one[at] for one in second_order), tilt[order])
