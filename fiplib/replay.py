@@ -8,19 +8,24 @@ which windows another estimator would have been given. Whoever needs windows of 
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # its parts are imported when they are first used
 
+from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.likelihood import maximum_likelihood
+from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
 from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATE_NAMES, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
 from fiplib.recording import ROLES, TOPICS, BagError, Flight, Measurement, Series
+
+if TYPE_CHECKING:
+    from fiplib.estimators.poses.estimate import PoseEstimate
 
 STRIDE = 14
 """Every how many runs of the estimator a spaced window comes: half a window apart, 7 in each of our flights."""
@@ -30,6 +35,12 @@ MOST_SAMPLES = 250
 
 BY_CHANCE = 1e-3
 """Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
+
+FLOWN_WITH = (
+    "masses, the rod's inertia, noise, delays and lags are those of the flight's parameters, commands acted as sent, "
+    "and the rod stands in the vehicle's tracked point"
+)
+"""What the recommended estimator takes for granted."""
 
 
 class TimedWindow(NamedTuple):
@@ -161,13 +172,37 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     return replace(flight, length=Series(np.array(stamps), np.array(rows), role.names, role.units))
 
 
-def estimate(flight: Flight, params: Params | None = None) -> Estimate:
-    """The length of the rod from a whole flight, with a standard deviation, or the reason why it cannot be told.
+def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
+    """Return the length of the rod from the poses of a whole flight, in linear time, or why there is none.
 
-    The recommended estimator (``likelihood.maximum_likelihood``) answers on windows that follow each other without
-    overlap. Their answers are independent; the logarithms of the lengths are averaged by their precision. What several
-    windows scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a
-    reason to refuse.
+    Args:
+        flight: the recorded flight, of any vehicle; nothing but its two bodies is read.
+        knowledge: priors of the laboratory. By default those of the flight's own parameters, with the rod tracked at
+            its middle as in all bags of ours; where a flight has none, those of a stranger (``Knowledge()``).
+        stated: fields of ``Knowledge`` that replace those, as ``seat_height=Told(0.08, 2e-3)``.
+    """
+    from fiplib.estimators.poses import estimate as poses  # compiled code: half a second to import
+    from fiplib.estimators.poses.rows import Body
+
+    if knowledge is None:
+        own, middle = "params" in flight.metadata, stated.get("inertia_factor") is None
+        knowledge = Knowledge.of(flight.params) if own else Knowledge()
+        knowledge = replace(knowledge, marker_offset=MIDDLE if own and middle else None)
+    bodies = [
+        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
+        for body in (flight.vehicle, flight.pendulum)
+    ]
+    return poses.estimate(*bodies, replace(knowledge, **stated))
+
+
+def estimate(flight: Flight, params: Params | None = None) -> Estimate:
+    """Return the length of the rod from a whole flight, with a standard deviation, or the reason why there is none.
+
+    A flight that says how it was flown (its metadata hold parameters, or ``params`` are given) and holds commands is
+    estimated with both (``likelihood.maximum_likelihood``), on windows that follow each other without overlap. Their
+    answers are independent; the logarithms of the lengths are averaged by their precision. What several windows
+    scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
+    refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
 
     Args:
         flight: the recorded flight.
@@ -176,10 +211,11 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
     Raises:
         BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
     """
+    known = params is not None or "params" in flight.metadata
     params = params or flight.params
     seconds = params.estimation.raw_window
-    if reason := why_not_refit(flight, seconds):
-        return Estimate(math.nan, math.nan, reason)
+    if not known or why_not_refit(flight, seconds):
+        return length_from_poses(flight, params and Knowledge.of(params))
     found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
     given = [answer for answer in found if answer.reason is None]
     if not given:
@@ -194,7 +230,8 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
         reason = f"the windows contradict each other beyond chance: they give lengths from {low:.3f} to {high:.3f} m"
         return Estimate(math.nan, math.nan, reason)
     length = math.exp(mean)
-    return Estimate(length, length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum())))
+    deviation = length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum()))
+    return Estimate(length, deviation, assumed=(FLOWN_WITH,))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

@@ -10,14 +10,10 @@ import os
 import re
 import time
 from pathlib import Path
-from unittest import mock
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from fiplib import simulate
-from fiplib.dynamics import PLANT, body_z, quaternion_rate
 from fiplib.estimators.poses import filter as kf
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.fit import FORCE_FREE, STEP
@@ -25,86 +21,26 @@ from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.planar import planar
 from fiplib.estimators.poses.rows import Body, rows_of
 from fiplib.estimators.poses.stream import Stream
-from fiplib.params import GRAVITY, Params
-from fiplib.pilot import Circle
+from fiplib.params import GRAVITY
+from fiplib.simulate import Push
+from fiplib.studies.poses import Condition, flown, interval, observed
 
 CHANCE = 3.5
 AT_MIDDLE = Knowledge(marker_offset=Told(0.0, 1e-3))
 
 
-def seat_plant(height):
-    """``coupled_plant`` with the seat ``height`` m above the vehicle's centre of mass: one more force, m h e''."""
-
-    def plant(params):
-        x, command, force = ca.SX.sym("x", 20), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
-        velocity, attitude, q, q_dot, rate, thrust = (x[PLANT[name]] for name in list(PLANT)[1:])
-        m, m_p, r = params.vehicle.mass, params.pendulum.mass, params.pendulum.length / 2
-        factor = params.pendulum.inertia_factor
-        rate_dot = (command[:3] - rate) / params.simulation.rate_lag
-        e3 = ca.SX([0, 0, 1])
-        body = ca.cross(rate, ca.cross(rate, e3)) + ca.cross(rate_dot, e3)
-        twice = 2 * ca.cross(attitude[:3], body)
-        e_ddot = body + attitude[3] * twice + ca.cross(attitude[:3], twice)
-
-        def across(v):
-            return v - q * ca.dot(q, v)
-
-        total = thrust * body_z(attitude) + force + m * height * e_ddot
-        total += m_p * r * ca.sumsqr(q_dot) * q - factor * across(force)
-        alpha = (total + m_p * factor / (m + m_p * (1 - factor)) * across(total)) / (m + m_p)
-        q_ddot = -ca.sumsqr(q_dot) * q - factor / r * across(alpha - force / m_p)
-        gravity = ca.vertcat(0, 0, GRAVITY)
-        thrust_dot = (command[3] - thrust) / params.simulation.thrust_lag
-        x_dot = ca.vertcat(
-            velocity, alpha - gravity, quaternion_rate(attitude, rate), q_dot, q_ddot, rate_dot, thrust_dot
-        )
-        return ca.Function("plant", [x, command, force], [x_dot])
-
-    return plant
-
-
 @functools.cache
 def states(seat=0.08, seed=1, duration=9.0, length=1.0, gyration_ratio=1 / 12, pushes=()):
-    """True states (n, 20) at 240 Hz of a flight on a circle of 0.4 m; the pilot knows where the seat is."""
-    params = Params().replace(
-        pendulum__length=length, piloting__initial_length=length, pendulum__gyration_ratio=gyration_ratio
-    )
-    kept = []
-
-    class Kept(simulate.Plant):
-        def advance(self, force=(0.0, 0.0, 0.0)):
-            kept.append(self.x.copy())
-            super().advance(force)
-
-    scenario = simulate.Scenario(
-        "seat", "seat", duration, Circle(radius=0.4, period=8.0), pushes=pushes, params=params, seed=seed
-    )
-    with mock.patch.object(simulate, "coupled_plant", seat_plant(seat)):
-        assert simulate.fly(scenario, vehicle=Kept).survived
-    return np.array(kept)
-
-
-def turned(q, v):
-    """Vectors v (n, 3) turned by quaternions q (n, 4)."""
-    twice = 2 * np.cross(q[:, :3], v)
-    return v + q[:, 3:] * twice + np.cross(q[:, :3], twice)
+    """True states (n, 20) at 240 Hz of a flight on a circle of 0.4 m."""
+    changes = {"pendulum__gyration_ratio": gyration_ratio}
+    return flown(Condition(length=length, seat=seat, changes=changes), seed, duration, pushes)
 
 
 def poses(x, seed=0, length=1.0, below=0.08, above=0.0, position=0.2e-3, attitude=1e-3, start=3.0, seconds=2.5):
-    """Vehicle and rod as motion capture sees them: tracked ``below`` the seat and ``above`` the rod's middle, m."""
-    rng = np.random.default_rng(seed)
+    """Vehicle and rod as motion capture sees them in a stretch of flight; their clock is the flight's."""
     x = x[round(240 * start) : round(240 * (start + seconds))]
-    n = len(x)
-    up, q = turned(x[:, 6:10], np.tile([0.0, 0.0, 1.0], (n, 1))), x[:, 10:13]
-
-    def seen(direction):
-        noisy = direction + attitude * rng.normal(size=(n, 3)) * [1, 1, 0]
-        return noisy / np.linalg.norm(noisy, axis=1)[:, None]
-
-    vehicle = x[:, :3] - below * up + position * rng.normal(size=(n, 3))
-    rod = x[:, :3] + (length / 2 + above) * q + position * rng.normal(size=(n, 3))
-    clock = start + np.arange(n) / 240.0
-    return Body(clock, vehicle, seen(up)), Body(clock, rod, seen(q))
+    bodies = observed(x, np.random.default_rng(seed), length, below, above, (position, attitude))
+    return tuple(body._replace(time=body.time + start) for body in bodies)
 
 
 def at(body, keep):
@@ -374,7 +310,7 @@ def test_a_refusal_names_its_cause(cause):
 
 
 def test_a_push_is_refused_with_its_time():
-    x = states(pushes=(simulate.Push(4.0, (0.008, 0.0)),))
+    x = states(pushes=(Push(4.0, (0.008, 0.0)),))
     answer = estimate(*poses(x))
     assert "pushed" in answer.reason
     # seconds from the start of the window, at 3 s; the filter takes a quarter of a second to come back
@@ -407,6 +343,13 @@ def test_intervals_hold_the_truth():
             scores.append((answer.length - 1.0) / answer.standard_deviation)
     # 12 windows: the root mean square of 12 normal numbers lies between 0.5 and 1.6 but once in 1000 times
     assert 0.5 < math.sqrt(np.mean(np.square(scores))) < 1.6
+
+
+def test_a_coverage_comes_with_an_interval_over_flights():
+    share, low, high = interval([4, 4, 4, 3], [4, 4, 4, 4])
+    assert share == 15 / 16 and low < share < high == 1.0
+    # flights that all agree leave nothing to draw
+    assert interval([3, 3], [4, 4]) == (0.75, 0.75, 0.75)
 
 
 def test_a_stream_gives_what_the_whole_flight_gives():

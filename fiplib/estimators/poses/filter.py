@@ -16,7 +16,8 @@ The specific thrust u is close to a random walk. Not quite: controller and rate 
 omega w' + omega^2 w = omega^2 (n + T n'), n white noise of density q_n, and all four of these numbers are estimated.
 
 What is of second order comes from smoothed poses: q . U, |q'|^2, and what g stands for in e = u / g: F / M, and for
-changes of e, (F / M) / (1 - |e_xy|^2): a large tilt is an oscillation and changes mostly along itself. The rows, each at its own stamp, are
+changes of e, (F / M) / (1 - |e_xy|^2): a large tilt is an oscillation and changes mostly along itself. The
+measured rows, each at its own stamp, are
 
     vehicle  s - (h / g) u                  tilt       (g + z'') e_x / e_z = u + c_tilt
     rod      s + rho q + c_rod              direction  q + c_direction
