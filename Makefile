@@ -4,11 +4,8 @@
 PYTHON ?= python3
 PY := .venv/bin/python
 
-# The bytes of a flight must not depend on which newer kernels a CPU offers: one thread, and those of a 2013 x86-64.
-# tests/conftest.py pins the same for a bare pytest.
-export OPENBLAS_CORETYPE := Haswell
+# Matrices here are small: on a busy machine OpenBLAS's threads wait for each other. tests/conftest.py sets the same.
 export OPENBLAS_NUM_THREADS := 1
-export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
 
 # What is made, from what: written by fiplib/products.py, read here for the targets that need it.
 ifneq ($(filter figures paper bags fly-% figures/% paper/% .make/%,$(MAKECMDGOALS)),)
@@ -54,6 +51,10 @@ book: .venv/installed ## make the book: notebooks with their results, and the li
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	cd data && $(SHA256) $(foreach name,$(BAGS),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
 
+# The maximum-likelihood estimator solves its least squares by LAPACK: the seventh digit of its lengths depends on which
+# kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
+sweep: export OPENBLAS_CORETYPE := Haswell
+sweep: export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
 sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
 	$(PY) -m fiplib sweep $(STUDIES)
 
@@ -92,6 +93,8 @@ clean: ## remove what was made; data/ and .venv stay
 
 .venv/installed: .venv/locked pyproject.toml
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
+	@$(PY) -c 'from fiplib import kernels; kernels.load()'
 	@touch $@
 
 # --- figures, tables, claims. One process draws all that is out of date: a product whose files are missing or which has a

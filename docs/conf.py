@@ -95,7 +95,7 @@ def literal(text: str) -> str:
 
 def escape_plain_text(app, what, name, thing, options, lines) -> None:
     """Docstrings are plain text with double backticks."""
-    # The empty line keeps napoleon from reading "DAQP: its settings" as a type and what is of it.
+    # The empty line keeps napoleon from reading "RK4: its step" as a type and what is of it.
     lines[:] = [*([""] if what in ("data", "attribute") else []), *map(literal, lines)]
 
 

@@ -31,8 +31,9 @@ _HOMES = {
     "refit": "fiplib.replay",
 }
 
-# One thread, if NumPy is not loaded yet, and in the processes started from here. Matrices here are small, and on a busy
-# machine OpenBLAS's threads wait for each other: beside two busy cores a refit then takes half a minute.
+# One thread, if NumPy is not loaded yet, and in the processes started from here. The maximum-likelihood
+# estimator's QR decompositions are small, and on a busy machine OpenBLAS's threads wait for each other: beside two busy
+# cores a refit then takes half a minute. Nothing else here needs it, and no result depends on it but that estimator's.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from fiplib import __version__
 from fiplib.params import FipError
@@ -23,31 +22,25 @@ OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 """What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
 
 
-class Command(NamedTuple):
-    """A subcommand: its module, and its line in ``fip --help``."""
-
-    module: str
-    summary: str
-
-
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
-    "figures": Command("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
-    "claims": Command("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": Command("fiplib.bag", "say what a recorded flight holds and how long its rod is; recover a damaged one"),
-    "fly": Command("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
-    "sweep": Command("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
-    "faults": Command("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
-    "firmware": Command("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
+    "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
+    "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
+    "bag": ("fiplib.bag", "say what a recorded flight holds and how long its rod is; recover a damaged one"),
+    "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
+    "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
+    "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
+    "firmware": ("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
 }
+"""Module of each subcommand, and its line in ``fip --help``."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     _usable_streams()
-    signal.signal(signal.SIGTERM, _terminated)
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
 
 
@@ -83,12 +76,12 @@ def _run(arguments: list[str]) -> int:
     parser.add_argument("--version", action="version", version=f"fip {__version__}")
     commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)
-    for name, command in COMMANDS.items():
-        subparser = commands.add_parser(name, help=command.summary, description=f"{command.summary.capitalize()}.")
+    for name, (module, summary) in COMMANDS.items():
+        subparser = commands.add_parser(name, help=summary, description=f"{summary.capitalize()}.")
         if name == asked:
-            importlib.import_module(command.module).add_arguments(subparser)
+            importlib.import_module(module).add_arguments(subparser)
     options = parser.parse_args(arguments)
-    return importlib.import_module(COMMANDS[options.subcommand].module).run(options)
+    return importlib.import_module(COMMANDS[options.subcommand][0]).run(options)
 
 
 def _said(text: str, status: int) -> int:
@@ -116,10 +109,6 @@ def _discard_output() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _terminated(number: int, frame: object) -> None:
-    raise SystemExit(128 + number)  # leaves every ``with`` block in good order
 
 
 if __name__ == "__main__":

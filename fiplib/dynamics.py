@@ -25,12 +25,8 @@ def axis_matrices(length: ArrayLike, inertia_factor: float = 1.0) -> tuple[NDArr
     The state is (s, s', d, d', tilt): vehicle position, pendulum offset, tilt, brought to one sign by ``params.AXES``;
     the input is the body rate. s'' = g tilt, d'' = lambda (2 g d / l - g tilt), tilt' = rate.
 
-    Args:
-        length: pendulum length(s) l in m, any shape.
-        inertia_factor: lambda; 1 is the paper's model.
-
-    Returns:
-        ``A`` of shape ``shape(length) + (5, 5)`` and ``B`` of shape ``(5, 1)``.
+    For lengths l in m of any shape and lambda, ``inertia_factor`` (1 is the paper's model): ``A`` of shape
+    ``shape(length) + (5, 5)`` and ``B`` of shape ``(5, 1)``.
     """
     length = np.asarray(length, dtype=float)
     a = np.zeros((*length.shape, 5, 5))
@@ -44,13 +40,10 @@ def axis_matrices(length: ArrayLike, inertia_factor: float = 1.0) -> tuple[NDArr
 
 
 def prediction_model(inertia_factor: float = 1.0) -> ca.Function:
-    """The paper's prediction model x' = f(x, u, l), linear in x and u (section 2.2).
+    """The paper's prediction model x' = f(x, u, l), linear in x and u (section 2.2), as a CasADi function.
 
-    Args:
-        inertia_factor: lambda; 1 is the paper's model, 3/4 a uniform rod.
-
-    Returns:
-        CasADi function (x (10,) in the order of ``STATES``, u (2,) rad/s, l m) -> x' (10,).
+    x and x' are (10,) in the order of ``STATES``, u (2,) in rad/s, l in m. ``inertia_factor`` is lambda: 1 in the
+    paper's model, 3/4 for a uniform rod.
     """
     x, u, length = ca.SX.sym("x", 10), ca.SX.sym("u", 2), ca.SX.sym("l")
     x_dot = ca.SX(10, 1)
@@ -66,14 +59,9 @@ def prediction_model(inertia_factor: float = 1.0) -> ca.Function:
 
 
 def rk4(f: ca.Function, step: float) -> ca.Function:
-    """One step of the classical fourth-order Runge-Kutta method, all arguments but the first held over the step.
+    """One step, in s, of the classical fourth-order Runge-Kutta method: a CasADi function (x, ...) -> x after the step.
 
-    Args:
-        f: right-hand side (x, ...) -> x'.
-        step: length of the step in s.
-
-    Returns:
-        CasADi function (x, ...) -> x after the step.
+    ``f`` is the right-hand side (x, ...) -> x'; all arguments but the first are held over the step.
     """
     x, *held = f.sx_in()
     k1 = f(x, *held)
@@ -86,8 +74,7 @@ def rk4(f: ca.Function, step: float) -> ca.Function:
 def jacobians(f: ca.Function) -> ca.Function:
     """Jacobians of f(x, u, ...) with respect to x and u, as a CasADi function of the same arguments."""
     arguments = f.sx_in()
-    value = f(*arguments)
-    matrices = [ca.jacobian(value, arguments[0]), ca.jacobian(value, arguments[1])]
+    matrices = [ca.jacobian(f(*arguments), argument) for argument in arguments[:2]]
     return ca.Function("jacobians", arguments, matrices, f.name_in(), ["df_dx", "df_du"])
 
 
@@ -95,13 +82,9 @@ def exact_pendulum(gyration_ratio: float = 0.0) -> ca.Function:
     """The nonlinear pendulum from its Lagrangian L = K - P in (a, b), for a prescribed acceleration of its base.
 
     Lagrange's equations are formed by differentiating L, not by hand; the paper leaves this step to the reader. Per
-    unit of pendulum mass, K = |v + d/dt (a, b, zeta)|^2 / 2 (+ k^2 |q'|^2 / 2, which the paper leaves out).
-
-    Args:
-        gyration_ratio: k^2 / l^2; 0 is the paper's point mass at the middle, 1/12 a uniform rod.
-
-    Returns:
-        CasADi function (s = (a, b, a', b'), base acceleration (3,) m/s^2, l m) -> (a'', b'') m/s^2.
+    unit of pendulum mass, K = |v + d/dt (a, b, zeta)|^2 / 2 (+ k^2 |q'|^2 / 2, which the paper leaves out:
+    ``gyration_ratio`` k^2 / l^2 is 0 for its point mass at the middle, 1/12 for a uniform rod). As a CasADi function
+    (s = (a, b, a', b'), base acceleration (3,) m/s^2, l m) -> (a'', b'') m/s^2.
     """
     offset, offset_rate = ca.SX.sym("ab", 2), ca.SX.sym("ab_dot", 2)
     base_velocity, base_acceleration = ca.SX.sym("v", 3), ca.SX.sym("p_ddot", 3)
@@ -148,13 +131,8 @@ def coupled_plant(params: Params) -> ca.Function:
         (m + m_p) alpha + m_p r q'' = F R e3 + f,      q'' = -|q'|^2 q - (lambda/r) P (alpha - f/m_p).
 
     The attitude is a quaternion, so the kinematic map is right at every angle. The seat is taken to lie at the
-    vehicle's centre of mass, as in the paper.
-
-    Args:
-        params: vehicle, pendulum and the two lags of ``simulation``.
-
-    Returns:
-        CasADi function (x (20,) laid out by ``PLANT``, command (4,): body rates rad/s and thrust N, f (3,) N) -> x'.
+    vehicle's centre of mass, as in the paper. As a CasADi function
+    (x (20,) laid out by ``PLANT``, command (4,): body rates rad/s and thrust N, f (3,) N) -> x'.
     """
     x, command, force = ca.SX.sym("x", 20), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     velocity, attitude, q, q_dot, body_rate, thrust = (x[PLANT[name]] for name in list(PLANT)[1:])
@@ -168,10 +146,13 @@ def coupled_plant(params: Params) -> ca.Function:
     total = thrust * body_z(attitude) + force + m_p * r * ca.sumsqr(q_dot) * q - factor * across(force)
     alpha = (total + m_p * factor / (m + m_p * (1 - factor)) * across(total)) / (m + m_p)
     q_ddot = -ca.sumsqr(q_dot) * q - factor / r * across(alpha - force / m_p)
+    # the product of quaternions attitude * (omega, 0) / 2, omega in the body frame
+    vector, w = attitude[:3], attitude[3]
+    attitude_rate = ca.vertcat(w * body_rate + ca.cross(vector, body_rate), -ca.dot(vector, body_rate)) / 2
     x_dot = ca.vertcat(
         velocity,
         alpha - ca.vertcat(0, 0, GRAVITY),
-        quaternion_rate(attitude, body_rate),
+        attitude_rate,
         q_dot,
         q_ddot,
         (command[:3] - body_rate) / params.simulation.rate_lag,
@@ -201,12 +182,6 @@ def inclination(direction: ArrayLike) -> float:
     return math.atan2(math.hypot(x, y), z)
 
 
-def quaternion_rate(q: ca.SX, body_rate: ca.SX) -> ca.SX:
-    """q' = q * (omega, 0) / 2 for q = (x, y, z, w) and the angular velocity omega in the body frame."""
-    vector, w = q[:3], q[3]
-    return ca.vertcat(w * body_rate + ca.cross(vector, body_rate), -ca.dot(vector, body_rate)) / 2
-
-
 def euler_angles(q: ArrayLike) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of R = Rx(phi) Ry(theta) Rz(psi), as in the paper, of a quaternion (x, y, z, w)."""
     x, y, z, w = (float(value) for value in q)
@@ -217,10 +192,9 @@ def euler_angles(q: ArrayLike) -> tuple[float, float, float]:
 
 
 def euler_rate_map() -> ca.Function:
-    """Body rates to Euler rates for R = Rx Ry Rz, the rotation that the paper states.
+    """Body rates to Euler rates for R = Rx Ry Rz, the rotation that the paper states; singular at theta = 90 deg.
 
-    Returns:
-        CasADi function (angles = (phi, theta, psi), body rates (3,)) -> their rates; singular at theta = 90 deg.
+    As a CasADi function (angles = (phi, theta, psi), body rates (3,)) -> rates of the angles.
     """
     angles, body_rate = ca.SX.sym("angles", 3), ca.SX.sym("omega", 3)
     _, theta, psi = ca.vertsplit(angles)

@@ -13,20 +13,14 @@ The last population is not handed on: every run starts anew from uniformly drawn
 
 import math
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib import kalman
-from fiplib.kalman import Gains, Window
+from fiplib.kalman import Window
 from fiplib.params import Estimation, Params
-
-TABLE_SAMPLES = 1_200_000
-"""Codes times samples up to which the gains of all codes are kept for the next window, 0.2 kB each (0.4 kB if the two
-axes differ in noise); beyond, gains are computed as needed, several times slower."""
 
 CURVATURE_CODES = 10
 """Half-width, in codes, of the second difference behind the standard deviation: small beside any standard deviation
@@ -125,7 +119,7 @@ class MedianFilter:
         return float(np.median(self._values))
 
 
-def estimate(window: Window, params: Params, rng: np.random.Generator, keep_gains: bool = True) -> Estimate:
+def estimate(window: Window, params: Params, rng: np.random.Generator) -> Estimate:
     """Find the length that explains a window best, with the genetic algorithm of the paper's section 2.3.
 
     The first of ``params.estimation.generations`` populations is drawn uniformly; each later one is bred from the
@@ -135,16 +129,12 @@ def estimate(window: Window, params: Params, rng: np.random.Generator, keep_gain
         window: the data.
         params: of which ``estimation`` is used.
         rng: the only source of randomness.
-        keep_gains: whether the filter's gains of all lengths are computed and kept: the first run for a given size of
-            window and noise then takes about a second longer, and all others a fifth of the time. The answer is the
-            same.
 
     Raises:
         ValueError: parameters that make no sense; see also ``kalman.fitness``.
     """
     estimation = _checked(params.estimation)
     chromosome = Chromosome.of(estimation)
-    evaluate = _evaluator(window, estimation, keep_gains)
     known = np.full(2**chromosome.bits, np.inf)  # the fitness of infeasible codes
     known[: chromosome.codes] = np.nan  # not yet filtered
     populations = np.empty((estimation.generations, estimation.population), dtype=int)
@@ -155,13 +145,13 @@ def estimate(window: Window, params: Params, rng: np.random.Generator, keep_gain
             parents = populations[generation - 1]
             codes[:] = breed(parents, known[parents], chromosome, estimation, rng)
         unseen = np.unique(codes[np.isnan(known[codes])])
-        known[unseen] = evaluate(unseen)
+        known[unseen] = kalman.fitness(chromosome.length(unseen), window, estimation)
     fitness = known[populations]
     best_codes = np.take_along_axis(populations, fitness.argmin(axis=1)[:, None], axis=1)[:, 0]
     best = best_codes[fitness.min(axis=1).argmin()]
     return Estimate(
         length=float(chromosome.length(best)),
-        standard_deviation=_standard_deviation(int(best), chromosome, evaluate, estimation),
+        standard_deviation=_standard_deviation(int(best), chromosome, window, estimation),
         fitness=float(known[best]),
         best_lengths=chromosome.length(best_codes),
         populations=chromosome.length(populations),
@@ -174,7 +164,7 @@ def landscape(window: Window, params: Params) -> Landscape:
     estimation = _checked(params.estimation)
     chromosome = Chromosome.of(estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
-    return Landscape(lengths, _evaluator(window, estimation)(slice(None)))
+    return Landscape(lengths, kalman.fitness(lengths, window, estimation))
 
 
 def breed(
@@ -221,42 +211,15 @@ def mutate(bits: NDArray, rate: float, rng: np.random.Generator) -> NDArray:
     return bits ^ (rng.random(bits.shape) < rate)
 
 
-def _standard_deviation(
-    best: int, chromosome: Chromosome, evaluate: Callable[[NDArray], NDArray], estimation: Estimation
-) -> float:
+def _standard_deviation(best: int, chromosome: Chromosome, window: Window, estimation: Estimation) -> float:
     """sqrt(2 / f'') at the best code, as f = -2 log L; nan where that has no meaning."""
     below, above = best - CURVATURE_CODES, best + CURVATURE_CODES
     if kalman.reading(estimation).score != "likelihood" or below < 0 or above >= chromosome.codes:
         return math.nan
-    left, middle, right = evaluate(np.array([below, best, above])).tolist()
+    lengths = chromosome.length(np.array([below, best, above]))
+    left, middle, right = kalman.fitness(lengths, window, estimation).tolist()
     curvature = (left - 2 * middle + right) / (CURVATURE_CODES * chromosome.resolution) ** 2
     return math.sqrt(2 / curvature) if 0 < curvature < math.inf else math.nan
-
-
-def _evaluator(window: Window, estimation: Estimation, keep: bool = True) -> Callable[[NDArray | slice], NDArray]:
-    """Fitness of codes. The gains of all codes may be kept from window to window: they do not depend on the data."""
-    chromosome = Chromosome.of(estimation)
-    if not keep or chromosome.codes * len(window.states) > TABLE_SAMPLES:
-        lengths = chromosome.length(np.arange(chromosome.codes))
-        return lambda codes: kalman.fitness(lengths[codes], window, estimation)
-    # Only what the gains depend on, so that windows differing in the rest share them
-    key = replace(
-        Estimation(),
-        length_min=estimation.length_min,
-        length_max=estimation.length_max,
-        resolution=estimation.resolution,
-        fitness=f"{kalman.reading(estimation).transition}_likelihood",
-        process_noise=tuple(estimation.process_noise),
-        measurement_noise=tuple(estimation.measurement_noise),
-    )
-    table = _gains_of_all_codes(len(window.states), window.step, key)
-    return lambda codes: kalman.score(table[codes], window, estimation)
-
-
-@lru_cache(maxsize=1)
-def _gains_of_all_codes(samples: int, step: float, estimation: Estimation) -> Gains:
-    chromosome = Chromosome.of(estimation)
-    return kalman.gains(chromosome.length(np.arange(chromosome.codes)), samples, step, estimation)
 
 
 def _checked(estimation: Estimation) -> Estimation:

@@ -1,36 +1,58 @@
-"""Kalman filter over a window of flight data, for one or for thousands of candidate lengths at once.
+"""Kalman filter over a window of flight data, with a candidate length inside: how well does it explain the data?
 
-Every state is measured (H = I), noise covariances are diagonal, and the model splits into two equal axes
-(``params.AXES``). Two facts then make the filter short and fast:
+``filter_step`` is the filter as a textbook has it, one line an equation of the paper, and ``filter_window`` runs it
+over a window. ``fitness`` is the same filter in a compiled loop (``kernels.filtering``), for thousands of lengths: each
+candidate is computed on its own, so its fitness is the same to the last bit whatever else is in the batch.
 
-- Covariances, and so the gains, depend on the length but not on the data: ``gains`` computes them once, ``score``
-  reuses them for every window.
-- With H = I the inverse innovation covariance G = S^-1 says all: K = I - R G, P+ = R - R G R, x - x+ = R G y. The
-  filter shrinks to a recursion of the innovation, y_{k+1} = e_k + F R G_k y_k, where e_k = x_{k+1} - F x_k - B u_k
-  is the one-step prediction error of the raw data.
-
-The paper does not say how the filter starts. Our choice: the first measurement, with covariance R_e, is the first
-posterior; the first innovation is that of the second sample.
-
-Each candidate is computed on its own, by element-wise operations or by products of its own 5 x 5 matrices: its fitness
-is the same to the last bit whatever else is in the batch.
+Every state is measured (H = I) and noise covariances are diagonal. The paper does not say how the filter starts. Our
+choice: the first measurement, with covariance R_e, is the first posterior; the first innovation is that of the second
+sample.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib.dynamics import axis_matrices
+from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.params import AXES, INPUTS, STATES, Estimation
 
-CHUNK = 1000
-"""Candidates filtered together: few enough for the cache, many enough to hide Python's own time."""
 
-CHUNK_SAMPLES = 300_000
-"""Candidates times samples filtered together at most: bounds the memory of long windows to about 120 MB."""
+class LinearModel(NamedTuple):
+    """x_{k+1} = F x_k + B u_k, (10, 10) and (10, 2); J (10, 10) advances the covariance."""
+
+    transition: NDArray
+    input_matrix: NDArray
+    jacobian: NDArray
+
+
+def filter_step(
+    x: NDArray, P: NDArray, u: NDArray, z: NDArray, model: LinearModel, Q: NDArray, R: NDArray
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Advance the filter by one sample: eqs. (19) to (25) of the paper, H = I.
+
+    Args:
+        x: last posterior, (10,).
+        P: its covariance, (10, 10).
+        u: input since then, (2,).
+        z: measured state, (10,).
+        model: F, B and J.
+        Q: process noise Q_e, (10, 10).
+        R: measurement noise R_e, (10, 10).
+
+    Returns:
+        Posterior x (10,) and its covariance P (10, 10); innovation y (10,) and its covariance S (10, 10).
+    """
+    F, B, J = model
+    x = F @ x + B @ u  # (19)
+    P = J @ P @ J.T + Q  # (20)
+    y = z - x  # (21)
+    S = P + R  # (22)
+    K = P @ np.linalg.inv(S)  # (23)
+    return x + K @ y, (np.eye(len(x)) - K) @ P, y, S  # (24), (25)
 
 
 class Reading(NamedTuple):
@@ -40,16 +62,13 @@ class Reading(NamedTuple):
     score: str
 
 
-READINGS = {
-    f"{t}_{s}": Reading(t, s) for t in ("printed", "euler", "rk4") for s in ("posterior", "prior", "likelihood")
-}
+TRANSITIONS, SCORES = ("printed", "euler", "rk4"), ("posterior", "prior", "likelihood")
+
+READINGS = {f"{t}_{s}": Reading(t, s) for t in TRANSITIONS for s in SCORES}
 READINGS["paper"] = READINGS["printed_posterior"]
 """Transitions: 'printed' advances the state by Euler and its covariance with the continuous J = df/dx, as the paper
 writes it; 'euler' takes J = I + dt df/dx; 'rk4' takes the Runge-Kutta map of the MPC for both. Scores, summed over the
 window: 'posterior' |x - x+|^2, as printed; 'prior' |y|^2; 'likelihood' y' S^-1 y + log det S, i.e. -2 log L."""
-
-_ORDER = [index for axis in AXES for index in axis.states]
-_SIGNS = np.array([[1.0, 1.0, 1.0, 1.0, axis.sign] for axis in AXES])
 
 
 @dataclass(frozen=True)
@@ -86,30 +105,6 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Gains:
-    """What the filter knows of C candidates before it sees the data. Axes of equal noise share one filter, A = 1.
-
-    Attributes:
-        transition: F of one axis, (C, 5, 5).
-        feedback: F R_e, (C, A, 5, 5).
-        input_matrix: discrete-time B of one axis, (C, 5).
-        information: S_k^-1 for the samples 1 to n - 1, (n - 1, C, A, 5, 5).
-        log_determinant: sum over samples and axes of log det S_k, (C,).
-    """
-
-    transition: NDArray
-    feedback: NDArray
-    input_matrix: NDArray
-    information: NDArray
-    log_determinant: NDArray
-
-    def __getitem__(self, candidates: slice | NDArray) -> "Gains":
-        """The gains of some of the candidates."""
-        first, last = (self.transition, self.feedback, self.input_matrix), self.log_determinant
-        return Gains(*(value[candidates] for value in first), self.information[:, candidates], last[candidates])
-
-
-@dataclass(frozen=True)
 class Filtered:
     """A filtered window for lengths of any shape (...); all in the order of ``params.STATES``, samples 1 to n - 1.
 
@@ -135,6 +130,23 @@ def reading(estimation: Estimation) -> Reading:
         raise ValueError(f"unknown reading {estimation.fitness!r}; readings are {', '.join(READINGS)}") from None
 
 
+def linear_model(length: float, step: float, transition: str) -> LinearModel:
+    """The prediction model of a length in m over ``step`` s, in one of the ``TRANSITIONS``."""
+    continuous, discrete = _derivatives(step)
+    A, B = (matrix.full() for matrix in continuous(0, 0, length))
+    if transition == "rk4":
+        F, B_rk4 = (matrix.full() for matrix in discrete(0, 0, length))
+        return LinearModel(F, B_rk4, F)
+    F = np.eye(len(STATES)) + step * A
+    return LinearModel(F, step * B, A if transition == "printed" else F)
+
+
+@lru_cache(maxsize=4)
+def _derivatives(step: float) -> tuple[ca.Function, ca.Function]:
+    f = prediction_model()
+    return jacobians(f), jacobians(rk4(f, step))
+
+
 def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArray:
     """Fitness of candidate lengths (paper, section 2.3), smaller is better.
 
@@ -150,145 +162,39 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
     Raises:
         ValueError: unknown reading, noise of the wrong size or sign, lengths that are not positive and finite.
     """
+    from fiplib.kernels import (
+        filtering,  # here and not above: numba takes a while, and not all who read windows filter them
+    )
+
     lengths = _checked_lengths(lengths)
     if lengths.ndim != 1:
         raise ValueError(f"lengths must have shape (C,), got {lengths.shape}")
+    transition, score = reading(estimation)
+    q, r = (variances[[axis.states for axis in AXES]] for variances in _noise(estimation))
     result = np.empty(len(lengths))
-    for part in _chunks(len(lengths), len(window.states)):
-        result[part] = score(gains(lengths[part], len(window.states), window.step, estimation), window, estimation)
+    data = (np.array(window.states, order="C"), np.array(window.inputs, order="C"), window.step)  # copies lie as C asks
+    filtering.fitness(lengths, *data, TRANSITIONS.index(transition), SCORES.index(score), q, r, result)
     return result
 
 
 def filter_window(lengths: ArrayLike, window: Window, estimation: Estimation) -> Filtered:
-    """The whole filter, for a look inside. Memory: about 1 kB per candidate and sample. Errors as ``fitness``."""
+    """The textbook's filter over a window, for a look inside; takes some ms a length. Errors as ``fitness``."""
     lengths = _checked_lengths(lengths)
-    gain = gains(lengths.ravel(), len(window.states), window.step, estimation)
-    _, r = _noise(estimation)
-    y, weighted = (np.stack(values, axis=1) for values in zip(*_filter(gain, window), strict=True))
-    innovations, residuals = _unsplit(y), _unsplit(r[:, :, None] * weighted)
-    covariances = np.zeros((*innovations.shape, len(STATES)))
-    blocks = np.linalg.inv(gain.information).swapaxes(0, 1)
-    for axis, sign, block in zip(AXES, _SIGNS, (0, -1), strict=True):  # a shared filter has one block, first and last
-        rows = np.array(axis.states)
-        covariances[..., rows[:, None], rows] = blocks[:, :, block] * np.outer(sign, sign)
-    nis = np.sum(y * weighted, axis=(2, 3, 4))
-    values = (innovations, covariances, window.states[1:] - residuals, nis)
-    return Filtered(*(value.reshape(*lengths.shape, *value.shape[1:]) for value in values))
+    transition, (Q, R) = reading(estimation).transition, map(np.diag, _noise(estimation))
+    samples = len(window.states) - 1
+    y, posterior = np.empty((2, lengths.size, samples, len(STATES)))
+    S = np.empty((*y.shape, len(STATES)))
+    for i, length in enumerate(lengths.flat):
+        x, P, system = window.states[0], R, linear_model(length, window.step, transition)
+        for k in range(samples):
+            x, P, y[i, k], S[i, k] = filter_step(x, P, window.inputs[k], window.states[k + 1], system, Q, R)
+            posterior[i, k] = x
+    nis = np.einsum("...i,...i", y, np.linalg.solve(S, y[..., None])[..., 0])
+    return Filtered(*(value.reshape(*lengths.shape, *value.shape[1:]) for value in (y, S, posterior, nis)))
 
 
-def gains(lengths: NDArray, samples: int, step: float, estimation: Estimation) -> Gains:
-    """The covariance recursion over ``samples`` samples, ``step`` s apart, for the lengths (C,). Errors as ``fitness``.
-
-    Candidates lie along the last axis here: every operation is element-wise over contiguous memory.
-    """
-    lengths = _checked_lengths(lengths)
-    transition, input_matrix, jacobian = _discretise(lengths, step, reading(estimation).transition)
-    q, r = (np.ascontiguousarray(noise.T)[..., None] for noise in _noise(estimation))  # (5, A, 1)
-    identity, groups = np.eye(5)[..., None, None], r.shape[1]
-    prediction_noise, r_diagonal, r_outer = (q + r) * identity, r * identity, r[:, None] * r
-    information = np.empty((samples - 1, len(lengths), groups, 5, 5))
-    log_determinant = np.zeros((groups, len(lengths)))
-    for part in _chunks(len(lengths), samples):
-        j = np.ascontiguousarray(np.moveaxis(jacobian[part], 0, -1))[:, :, None]  # (5, 5, 1, C)
-        posterior = np.broadcast_to(r_diagonal, (5, 5, groups, j.shape[-1]))
-        for k in range(samples - 1):
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                s = _times(j, _times(j, posterior).swapaxes(0, 1))  # J (J P)' = J P J', as P is symmetric
-                s += prediction_noise
-                log_determinant[:, part] += np.log(_invert(s))
-                information[k, part] = s.transpose(3, 2, 0, 1)
-                posterior = r_diagonal - r_outer * s
-    feedback = transition[:, None] * r[..., 0].T[:, None]
-    total = len(AXES) // groups * log_determinant.sum(axis=0)  # a shared filter counts once for each axis
-    return Gains(transition, feedback, input_matrix, information, total)
-
-
-def score(gain: Gains, window: Window, estimation: Estimation) -> NDArray:
-    """Fitness (C,) of the candidates whose gains are given, computed for this window's size, step and estimation."""
-    _, r = _noise(estimation)
-    kind = reading(estimation).score
-    result = np.empty(len(gain.log_determinant))
-    for chunk in _chunks(len(result), len(window.states)):
-        part = gain[chunk]
-        total = 0.0
-        with np.errstate(over="ignore", invalid="ignore"):
-            for y, weighted in _filter(part, window):
-                if kind == "prior":
-                    total += y * y
-                elif kind == "posterior":
-                    total += (r[:, :, None] * weighted) ** 2  # x - x+ = R S^-1 y
-                else:
-                    total += y * weighted
-        result[chunk] = total.sum(axis=(1, 2, 3)) + (part.log_determinant if kind == "likelihood" else 0.0)
-    result[~np.isfinite(result)] = np.inf
-    return result
-
-
-def _filter(gain: Gains, window: Window) -> Iterator[tuple[NDArray, NDArray]]:
-    """Innovation y_k and S_k^-1 y_k for the samples 1 to n - 1, each (C, A, 5, M) with A * M = 2 axes."""
-    updates, candidates, groups = gain.information.shape[:3]
-    # One column per sample and axis, so that each candidate needs a single product
-    states = (window.states[:, _ORDER].reshape(-1, len(AXES), 5) * _SIGNS).reshape(-1, 5).T
-    rates = np.stack([axis.sign * window.inputs[:-1, axis.input] for axis in AXES], axis=1).ravel()
-    predicted = gain.transition @ states[:, : -len(AXES)] + gain.input_matrix[:, :, None] * rates
-    errors = (states[:, len(AXES) :] - predicted).reshape(candidates, 5, updates, groups, len(AXES) // groups)
-    errors = np.ascontiguousarray(errors.transpose(2, 0, 3, 1, 4))
-    correction = 0.0
-    for error, information in zip(errors, gain.information, strict=True):
-        y = error + correction
-        weighted = information @ y
-        yield y, weighted
-        correction = gain.feedback @ weighted
-
-
-def _discretise(lengths: NDArray, step: float, transition: str) -> tuple[NDArray, NDArray, NDArray]:
-    """F (C, 5, 5) and B (C, 5) that advance one axis of the state, and J (C, 5, 5) that advances its covariance."""
-    a, b = axis_matrices(lengths)
-    # Of the exponential series of A dt, Euler keeps the first order, RK4 the fourth; the input is held over the step
-    power = np.broadcast_to(np.eye(5), a.shape)
-    f, integral = power, 0.0
-    for order in range(1, 5 if transition == "rk4" else 2):
-        integral = integral + power * (step / order)
-        power = power @ a * (step / order)
-        f = f + power
-    return f, (integral @ b)[..., 0], a if transition == "printed" else f
-
-
-_FED_BY = {0: slice(0, 1), 1: slice(0, 2), 2: slice(2, 4), 3: slice(2, 4)}
-"""Rows that are not zero in the first four columns of F and J; the tilt, column 4, feeds every row."""
-
-
-def _times(jacobian: NDArray, matrix: NDArray) -> NDArray:
-    """Product J M over the first two axes, element-wise over the others, leaving out the zeros of J."""
-    result = jacobian[:, 4, None] * matrix[4]
-    for column, rows in _FED_BY.items():
-        result[rows] += jacobian[rows, column, None] * matrix[column]
-    return result
-
-
-def _invert(matrix: NDArray) -> NDArray:
-    """Replace positive definite matrices (5, 5, ...) by their inverses (sweep operator); return their determinants."""
-    determinant = 1.0
-    for i in range(5):
-        row = matrix[i].copy()
-        determinant = determinant * row[i]
-        scaled = row / row[i]
-        matrix -= row[:, None] * scaled
-        matrix[i] = matrix[:, i] = scaled
-        matrix[i, i] = -1.0 / row[i]
-    np.negative(matrix, out=matrix)
-    return determinant
-
-
-def _unsplit(values: NDArray) -> NDArray:
-    """From one block per axis, (..., A, 5, M), to the ten states, (..., 10)."""
-    leading = values.shape[:-3]
-    values = values.swapaxes(-1, -2).reshape(*leading, len(AXES), 5) * _SIGNS
-    return values.reshape(*leading, -1)[..., np.argsort(_ORDER)]
-
-
-def _noise(estimation: Estimation) -> tuple[NDArray, NDArray]:
-    """Diagonals of Q_e and R_e per axis: (1, 5) each if both axes have the same noise, else (2, 5)."""
+def _noise(estimation: Estimation) -> list[NDArray]:
+    """Diagonals of Q_e and R_e, (10,) each."""
     diagonals = []
     for name, positive in (("process_noise", False), ("measurement_noise", True)):
         noise = np.asarray(getattr(estimation, name), dtype=float)
@@ -296,19 +202,12 @@ def _noise(estimation: Estimation) -> tuple[NDArray, NDArray]:
             raise ValueError(f"{name} must hold {len(STATES)} variances, got shape {noise.shape}")
         if not (np.isfinite(noise).all() and (noise > 0 if positive else noise >= 0).all()):
             raise ValueError(f"{name} must be finite and {'positive' if positive else 'not negative'}, got {noise}")
-        diagonals.append(noise[_ORDER].reshape(len(AXES), 5))
-    shared = all((noise == noise[0]).all() for noise in diagonals)
-    return tuple(noise[:1] if shared else noise for noise in diagonals)
-
-
-def _chunks(candidates: int, samples: int) -> Iterator[slice]:
-    """Slices that cut a number of candidates into chunks of bounded memory."""
-    size = max(1, min(CHUNK, CHUNK_SAMPLES // samples))
-    return (slice(start, start + size) for start in range(0, candidates, size))
+        diagonals.append(noise)
+    return diagonals
 
 
 def _checked_lengths(lengths: ArrayLike) -> NDArray:
-    lengths = np.asarray(lengths, dtype=float)
+    lengths = np.array(lengths, dtype=float)
     if not (np.isfinite(lengths).all() and (lengths > 0).all()):
         raise ValueError("lengths must be positive and finite")
     return lengths

@@ -10,9 +10,12 @@ than a general solver does, in four steps that lose nothing:
    H_k = R + B'P_{k+1}B, K_k = B'P_{k+1}A / H_k and u_k = -K_k z_k + w_k / sqrt(H_k), turns the cost into |w - w*|^2
    plus a constant. Without the feedback a condensed problem is hopeless: over 6 s the pendulum grows by e^26.
 3. *Least distance.* With w = w* + dw the plan (all inputs, all states) is y = y* + M dw, y* the unconstrained plan.
-   If y* keeps every bound, it is the answer.
-4. *Active set.* Otherwise DAQP minimises |dw|^2 + price * |slack|^2 subject to |y* + M dw| <= bounds + slack. M depends
-   on the length only; between ticks nothing but y* changes.
+   If y* keeps every bound, it is the answer. Neither M nor anything else of size N^2 is formed: one sweep back along
+   the horizon gives w* or a row of M, one sweep forward gives a plan.
+4. *Active set.* Otherwise a dual active-set method minimises |dw|^2 + price * |slack|^2 subject to |y* + M dw| <=
+   bounds + slack. It starts from no active bound every time: there is no memory between ticks.
+
+The sweeps are compiled loops, in ``kernels.control``.
 """
 
 import enum
@@ -22,22 +25,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import casadi as ca
-import daqp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib.dynamics import axis_matrices, prediction_model, rk4
-from fiplib.params import AXES, INPUTS, STATES, Axis, Control, Params
+from fiplib.dynamics import prediction_model, rk4
+from fiplib.params import AXES, INPUTS, STATES, Axis, Params
 
 SLACK_TOLERANCE = 1e-6
 """A state bound counts as softened when it is exceeded by more than this, in the unit of the state."""
-
-SOLVER_SETTINGS = {"primal_tol": 1e-9, "iter_limit": 200}
-"""DAQP: feasible far beyond the 1e-6 rad/s asked of u_0. Where more iterations would be needed the rod is already
-falling (bounds exceeded severalfold); the limit keeps such a tick, too, within the control period."""
-
-SOFT = 8
-"""DAQP's mark of a row that may be exceeded at a price."""
 
 CACHED_LENGTHS = 8
 """Lengths whose set-up is kept."""
@@ -139,6 +134,10 @@ class Status(enum.Enum):
     """The solver gave no answer; the inputs are the unconstrained ones, cut off at their bounds."""
 
 
+STATUSES = tuple(Status)
+"""By their number in ``kernels.control``."""
+
+
 @dataclass(frozen=True)
 class Solution:
     """The optimal plan. ``inputs[k]`` acts from node k to node k + 1.
@@ -158,90 +157,40 @@ class Solution:
     bounded: bool
 
 
-TO_AXES = np.array([i for axis in AXES for i in axis.states])
-AXIS_SIGNS = np.array([sign for axis in AXES for sign in (1.0, 1.0, 1.0, 1.0, axis.sign)])
-"""z of both axes, one after the other, is ``AXIS_SIGNS * x[TO_AXES]``: the signs make the axes one system."""
-
-FROM_AXES = np.argsort([i for axis in AXES for i in (len(STATES) + axis.input, *axis.states)])
-PLAN_SIGNS = np.array([sign for axis in AXES for sign in (axis.sign, 1.0, 1.0, 1.0, 1.0, axis.sign)])[FROM_AXES]
-"""With (u, z) of both axes one after the other in p, the state and then the input are ``PLAN_SIGNS * p[FROM_AXES]``."""
-
-
+@dataclass(frozen=True)
 class AxisProblem:
-    """One axis of the problem for one length: N nodes, 5 states, 1 input; steps 2 to 4 of the module's text.
+    """One axis for one length: N nodes, 5 states, 1 input; steps 2 and 3 of the module's text, for a look inside.
 
-    A plan is an array (6 N,) with the rows (u_k, z_{k+1}), k = 0 .. N-1.
-
-    Args:
-        length: l in m.
-        control: horizon and price of the slack.
-        cost: Q (5, 5), R (1, 1), P (5, 5).
-        bounds: of (u, z), shape (6,); rows with infinite bounds are left out.
+    Attributes:
+        transition: A, the RK4 map of the states z, (5, 5).
+        input: B, (5,).
+        gains: K_k of the unconstrained problem, (N, 5).
+        roots: sqrt(H_k), (N,).
+        bounds: of (u, z), (6,).
     """
 
-    def __init__(self, length: float, control: Control, cost: Weights, bounds: NDArray):
-        nodes = control.nodes
-        self.a, self.b = _discretised(length, control.step)
-        self.input_bound = bounds[0]
-        self.bounds = np.tile(bounds, nodes)
-        gains, roots = _riccati(self.a, self.b, nodes, cost)
-        z = np.zeros((nodes + 1, 5, 5 + nodes))
-        z[0, :, :5] = np.eye(5)
-        for k, closed_loop in enumerate(self.a - self.b * gains):
-            np.matmul(closed_loop, z[k], out=z[k + 1])
-            z[k + 1, :, 5 + k] = self.b[:, 0] / roots[k]
-        u = -gains @ z[:-1]
-        u[range(nodes), 0, range(5, 5 + nodes)] += 1.0 / roots
-        self.plan = np.concatenate([u, z[1:]], axis=1).reshape(6 * nodes, 5 + nodes)  # (z_0, w) -> y
+    transition: NDArray
+    input: NDArray
+    gains: NDArray
+    roots: NDArray
+    bounds: NDArray
 
-        # w* = M_z' Q z_ref: the adjoint of the map from w to the states carries the reference back
-        weighted = cost.state @ z[1:, :, 5:]
-        weighted[-1] = cost.terminal @ z[-1, :, 5:]
-        self.target = np.ascontiguousarray(weighted.reshape(5 * nodes, nodes).T)  # z_ref of nodes 1..N -> w*
+    @property
+    def plan(self) -> NDArray:
+        """The map (6 N, 5 + N) from (z_0, w) to the plan, whose rows are (u_k, z_{k+1}), k = 0 .. N-1."""
+        nodes = len(self.roots)
+        z, rows = np.eye(5, 5 + nodes), []
+        for k in range(nodes):
+            u = -self.gains[k] @ z
+            u[5 + k] = 1.0 / self.roots[k]
+            z = self.transition @ z + np.outer(self.input, u)
+            rows += [u, *z]
+        return np.array(rows)
 
-        self.rows = np.flatnonzero(np.isfinite(self.bounds))
-        self.room = self.bounds[self.rows]
-        soft = (self.rows % 6 > 0) & math.isfinite(control.slack_weight)
-        self.sense = np.where(soft, SOFT, 0).astype(np.intc)
-        self.solver = daqp.Model()
-        self.solver.settings = SOLVER_SETTINGS
-        if self.rows.size:
-            m = self.plan[self.rows, 5:]
-            self.solver.setup(np.eye(nodes), np.zeros(nodes), m, self.room, -self.room, self.sense)
-            price = np.where(soft, 1.0 / control.slack_weight, 0.0)
-            self.solver.soft_weights(price, price)
-
-    def solve(self, z0: NDArray, z_ref: NDArray) -> tuple[NDArray, Status, bool]:
-        """The optimal plan (6 N,) from z_0 (5,) along z_ref (5 N,), its status, and whether a bound is active."""
-        y = self.plan @ np.concatenate((z0, self.target @ z_ref))
-        if (np.abs(y) <= self.bounds).all():
-            return y, Status.OPTIMAL, False
-        dw = self._correction(y)
-        if dw is None:
-            return self._saturated(z0, y), Status.FAILED, True
-        y += self.plan[:, 5:] @ dw
-        y[::6] = np.clip(y[::6], -self.input_bound, self.input_bound)  # DAQP keeps them to its tolerance only
-        softened = (np.abs(y) > self.bounds + SLACK_TOLERANCE).any()
-        return y, Status.SOFTENED if softened else Status.OPTIMAL, True
-
-    def _correction(self, y: NDArray) -> NDArray | None:
-        """dw of the least-distance problem around y*, or None if DAQP has no answer."""
-        if not np.isfinite(y).all():
-            return None
-        y = y[self.rows]
-        # Handing over the kinds of the rows again makes DAQP forget its last active set: no memory between ticks
-        if self.solver.update(bupper=self.room - y, blower=-self.room - y, sense=self.sense) < 0:
-            return None
-        dw, _, exit_flag, _ = self.solver.solve()
-        return dw if exit_flag in (1, 2) and np.isfinite(dw).all() else None
-
-    def _saturated(self, z: NDArray, y: NDArray) -> NDArray:
-        """The unconstrained inputs cut off at their bounds, and where the model goes with them."""
-        y = y.reshape(-1, 6)
-        y[:, 0] = np.clip(np.nan_to_num(y[:, 0]), -self.input_bound, self.input_bound)
-        for node in y:
-            node[1:] = z = self.a @ z + self.b[:, 0] * node[0]
-        return y.ravel()
+    @property
+    def rows(self) -> NDArray:
+        """Those rows of ``plan`` that have a finite bound."""
+        return np.flatnonzero(np.isfinite(np.tile(self.bounds, len(self.roots))))
 
 
 class MPC:
@@ -272,13 +221,15 @@ class MPC:
         bounds = np.array([control.slack_weight, params.vehicle.max_body_rate, *control.state_bounds], dtype=float)
         if bounds.shape != (2 + len(STATES),) or not (bounds > 0.0).all():
             raise ValueError("slack_weight, max_body_rate and the ten state_bounds must be positive; inf is no bound")
+        # here and not above: numba takes a while, and not all who read this module's problem solve it
+        from fiplib.kernels import control as kernels
+
         self.params = params
         self.weights = weights(params, state_weights, input_weights, terminal_weights)
-        axis_bounds = [bounds[[1, *(2 + np.array(axis.states))]] for axis in AXES]
-        axis_weights = _per_axis(self.weights)
-        alike = np.array_equal(*axis_bounds) and all(map(np.array_equal, *axis_weights))
-        # One set-up serves both axes where they are alike
-        self._axes = list(zip(axis_weights, axis_bounds, strict=True))[: 1 if alike else len(AXES)]
+        self._kernels, self._softness = kernels, 1.0 / control.slack_weight
+        self._q, self._r, self._p = _per_axis(self.weights)
+        self._bounds = np.array([bounds[[1, *(2 + np.array(axis.states))]] for axis in AXES])
+        self._work = np.empty(kernels.work_shape(control.nodes))
         self._prepared = functools.lru_cache(CACHED_LENGTHS)(self._prepare)
 
     def solve(self, state: ArrayLike, reference: ArrayLike, length: float | None = None) -> Solution:
@@ -293,56 +244,41 @@ class MPC:
             ValueError: a wrong shape, a number that is not finite, a length that is not positive.
         """
         nodes = self.params.control.nodes
-        state = _finite("state", state, (len(STATES),))
-        reference = _finite("reference", reference, (nodes + 1, len(STATES)))
-        z0 = state.take(TO_AXES) * AXIS_SIGNS
-        z_ref = reference.take(TO_AXES, axis=1)[1:] * AXIS_SIGNS
-        answers = [
-            axis_problem.solve(z0[part], z_ref[:, part].ravel())
-            for axis_problem, part in zip(self.prepare(length), (slice(0, 5), slice(5, 10)), strict=True)
-        ]
-        plans = np.concatenate([plan.reshape(nodes, 6) for plan, _, _ in answers], axis=1)
-        plans = plans.take(FROM_AXES, axis=1) * PLAN_SIGNS
-        states, inputs = np.concatenate((state[None], plans[:, : len(STATES)])), plans[:, len(STATES) :]
-        statuses = [status for _, status, _ in answers]
-        worst = next(status for status in (Status.FAILED, Status.SOFTENED, Status.OPTIMAL) if status in statuses)
-        return Solution(inputs[0], inputs, states, worst, any(bounded for _, _, bounded in answers))
+        state, reference = (np.array(value, dtype=float, order="C") for value in (state, reference))
+        states, inputs = np.empty((nodes + 1, len(STATES))), np.empty((nodes, len(INPUTS)))
+        if state.shape != (len(STATES),) or reference.shape != states.shape:
+            _finite("state", state, (len(STATES),))
+            _finite("reference", reference, states.shape)
+        answer = self._kernels.solve(state, reference, *self.prepared(length), states, inputs)
+        if answer < 0:
+            _finite("state", state, state.shape)
+            _finite("reference", reference, reference.shape)
+        return Solution(inputs[0], inputs, states, STATUSES[answer & 3], answer > 3)
 
-    def prepare(self, length: float | None = None) -> list[AxisProblem]:
-        """Set up for a length (as in ``solve``), one problem per axis; ``solve`` calls it, the latest few are kept."""
+    def prepared(self, length: float | None = None) -> tuple:
+        """What ``kernels.control.solve`` needs beside state and reference, for a length as in ``solve``."""
         length = self.params.pendulum.length if length is None else float(length)
         if not 0.0 < length < math.inf:
             raise ValueError(f"length must be positive and finite, got {length} m")
         return self._prepared(length)
 
-    def _prepare(self, length: float) -> list[AxisProblem]:
-        problems = [AxisProblem(length, self.params.control, cost, bounds) for cost, bounds in self._axes]
-        return problems * (len(AXES) // len(problems))
+    def prepare(self, length: float | None = None) -> list[AxisProblem]:
+        """Set up for a length (as in ``solve``), one problem per axis; ``solve`` does it, the latest few are kept."""
+        model, feedback, *_ = self.prepared(length)
+        return [
+            AxisProblem(model[:5], model[5], rows[:, :5], rows[:, 5], bounds)
+            for rows, bounds in zip(feedback, self._bounds, strict=True)
+        ]
+
+    def _prepare(self, length: float) -> tuple:
+        control = self.params.control
+        model, feedback = np.empty((6, 5)), np.empty((len(AXES), control.nodes, 6))
+        self._kernels.riccati(length, control.step, self._q, self._r, self._p, model, feedback)
+        return model, feedback, self._q, self._p, self._bounds, self._softness, SLACK_TOLERANCE, self._work
 
 
-def _discretised(length: float, step: float) -> tuple[NDArray, NDArray]:
-    """The RK4 map of one axis, A (5, 5) and B (5, 1): of a linear system it is the Taylor series to fourth order."""
-    a, b = axis_matrices(length)
-    eye, ha = np.eye(5), step * a
-    phi = eye + ha / 2 @ (eye + ha / 3 @ (eye + ha / 4))
-    return eye + ha @ phi, step * phi @ b
-
-
-def _riccati(a: NDArray, b: NDArray, nodes: int, cost: Weights) -> tuple[NDArray, NDArray]:
-    """Gains K_k (N, 1, 5) and sqrt(H_k) (N,) of the unconstrained problem, backwards from P."""
-    gains, h = np.empty((nodes, 1, 5)), np.empty(nodes)
-    ab, p = np.hstack([a, b]), cost.terminal
-    for k in reversed(range(nodes)):
-        g = ab.T @ p @ ab
-        h[k] = cost.input[0, 0] + g[5, 5]
-        gains[k] = g[5, :5] / h[k]
-        p = cost.state + g[:5, :5] - gains[k].T * g[5, :5]
-        p = (p + p.T) / 2  # a skew part, born of rounding, would grow like the falling pendulum
-    return gains, np.sqrt(h)
-
-
-def _per_axis(cost: Weights) -> list[Weights]:
-    """The blocks Q (5, 5), R (1, 1), P (5, 5) of each axis; a ValueError where a weight couples the axes."""
+def _per_axis(cost: Weights) -> Weights:
+    """The blocks Q (2, 5, 5), R (2,), P (2, 5, 5) of the axes; a ValueError where a weight couples them."""
     home = {signal: axis for axis in AXES for signal in (*(STATES[i] for i in axis.states), INPUTS[axis.input])}
     for signals, matrix in ((STATES, cost.state), (INPUTS, cost.input), (STATES, cost.terminal)):
         for i, j in np.argwhere(matrix):
@@ -352,8 +288,8 @@ def _per_axis(cost: Weights) -> list[Weights]:
     def block(matrix: NDArray, axis: Axis) -> NDArray:
         return matrix[np.ix_(axis.states, axis.states)] * np.outer(signs := [1, 1, 1, 1, axis.sign], signs)
 
-    r = cost.input.diagonal()[:, None, None]
-    return [Weights(block(cost.state, axis), r[axis.input], block(cost.terminal, axis)) for axis in AXES]
+    q, p = (np.array([block(matrix, axis) for axis in AXES]) for matrix in (cost.state, cost.terminal))
+    return Weights(q, np.array([cost.input[axis.input, axis.input] for axis in AXES]), p)
 
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray:

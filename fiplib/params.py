@@ -79,9 +79,7 @@ class Vehicle:
     mass: float = quantity(0.569, "kg", "paper, Table 1")
     max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
     seat_height: float = quantity(0.08, "m", "paper, section 3: recess above the frame; drawn, not modelled")
-    max_thrust: float = quantity(
-        32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); only scales normalised thrust"
-    )
+    max_thrust: float = quantity(32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); scales thrust")
     wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
     propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
 
@@ -93,10 +91,7 @@ class Pendulum:
     mass: float = quantity(0.032, "kg", "paper, Table 1")
     length: float = quantity(1.0, "m", "paper, Table 1")
     gyration_ratio: float = quantity(
-        1.0 / 12.0,
-        "1",
-        "our choice: k^2/l^2 of a uniform rod; the paper's model (0) has no inertia about the COM",
-        zero=True,
+        1.0 / 12.0, "1", "our choice: k^2/l^2 of a uniform rod; in the paper 0, no inertia about the COM", zero=True
     )
 
     @property
@@ -125,9 +120,7 @@ class Control:
         "unit of the state",
         "our choice: |x| <= bound; the flying space, and where the linear model still holds",
     )
-    slack_weight: float = quantity(
-        1e4, "1/unit^2", "our choice: price of the squared violation of a state bound (bounds on states are soft)"
-    )
+    slack_weight: float = quantity(1e4, "1/unit^2", "our choice: price of a squared violation of a soft state bound")
 
     @property
     def step(self) -> float:
@@ -141,15 +134,9 @@ class Estimation:
 
     estimator: str = quantity("ga", "-", "paper, section 2.3: genetic algorithm; a name in estimators.ESTIMATORS")
     window: int = quantity(55, "samples", "paper, Table 2: t_w")
-    sample_period: float = quantity(
-        0.1, "s", "reading: the MPC's own step; at 1/120 s the window (0.46 s) barely holds the length"
-    )
-    raw_window: float = quantity(
-        2.5, "s", "our choice: frames of motion capture given to an estimator that takes them as measured"
-    )
-    first_raw_window: float = quantity(
-        0.3, "s", "our choice: with the trusted hand-over, frames before the first run; shorter ones hold no length"
-    )
+    sample_period: float = quantity(0.1, "s", "reading: the MPC's own step; at 1/120 s, 0.46 s barely hold the length")
+    raw_window: float = quantity(2.5, "s", "our choice: span of raw motion capture for an estimator that takes it")
+    first_raw_window: float = quantity(0.3, "s", "our choice: trusted: span at the first run; less holds no length")
     run_period: float = quantity(0.2, "s", "reading of '0.2 Hz': a 0.2 s period; the other reading is 5.0 s")
     length_min: float = quantity(0.2, "m", "paper, Table 2: l_min")
     length_max: float = quantity(2.0, "m", "paper, Table 2: l_max")
@@ -181,40 +168,26 @@ class Piloting:
     control_rate: float = quantity(120.0, "Hz", "paper, section 3")
     initial_length: float = quantity(1.0, "m", "per flight: length l0 that the MPC starts with")
     estimate: bool = quantity(False, "-", "per flight: whether the length is estimated in flight")
-    length_step: float = quantity(
-        math.inf, "m", "largest change of the used length per hand-over; infinite as printed, finite as its conclusion"
-    )
-    handover: str = quantity(
-        "printed", "-", "paper: median of estimates, at once; 'trusted' weighs them by their standard deviation"
-    )
+    length_step: float = quantity(math.inf, "m", "largest change a hand-over; infinite as printed, finite as concluded")
+    handover: str = quantity("printed", "-", "paper: median, at once; 'trusted' weighs by standard deviation")
     rod_lengths: tuple[float, float] = quantity(
         (0.5, 1.5), "m", "our choice: trusted: shortest and longest rod to expect, `caution` deviations off the middle"
     )
-    caution: float = quantity(
-        2.0, "1", "our choice: trusted: deviations on the short side of the belief; 1 belief in 44 is shorter"
-    )
-    outlier_gate: float = quantity(
-        4.0, "1", "our choice: trusted: deviations from the belief beyond which an estimate is not believed"
-    )
-    default_deviation: float = quantity(
-        0.1, "m", "our choice: trusted: for an estimate that brings none; above the GA's scatter, 0.004 to 0.08 m rms"
-    )
+    caution: float = quantity(2.0, "1", "our choice: trusted: deviations to the short side; 1 belief in 44 is shorter")
+    outlier_gate: float = quantity(4.0, "1", "our choice: trusted: deviations from the belief that make an outlier")
+    default_deviation: float = quantity(0.1, "m", "our choice: trusted: if none is stated; above the GA's 0.08 m rms")
     shortest_survivable: float = quantity(
-        0.4, "1", "measured: trusted: least used per believed length; at 0.2 the rod falls, see studies.survival"
+        0.4, "1", "measured: trusted: least used / believed; 0.2 falls (the study survival)"
     )
-    largest_rise: float = quantity(
-        1.25, "1", "our choice: trusted: used length over the one before at most; a jump by 1.6 was survived"
-    )
-    pendulum_measurement: str = quantity(
-        "position", "-", "reading: 'position' of the COM, or 'direction' of the rod times half the used length"
-    )
+    largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
+    pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     altitude_gains: tuple[float, float, float] = quantity(
-        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: proportional, integral, derivative", zero=True
+        (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: P, I and D gain", zero=True
     )
     altitude_integral_limit: float = quantity(2.0, "m/s^2", "our choice: bound of the integral's share", zero=True)
     yaw_gains: tuple[float, float, float] = quantity(
-        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: proportional, integral, derivative", zero=True
+        (2.0, 0.1, 0.0), "1/s, 1/s^2, 1", "our choice: P, I and D gain", zero=True
     )
 
 
@@ -223,29 +196,14 @@ class Simulation:
     """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
-    rate_delay: float = quantity(
-        12.5e-3,
-        "s",
-        "Betaflight in the loop takes 9 to 12 ms in roll and pitch (docs/firmware.md); the rest for the radio",
-        zero=True,
-    )
-    rate_lag: float = quantity(
-        15e-3, "s", "Betaflight in the loop: 9 and 10 ms in roll and pitch, 14 ms in yaw; our choice is slower"
-    )
+    rate_delay: float = quantity(12.5e-3, "s", "Betaflight's 9 to 12 ms (docs/firmware.md), and the radio's", zero=True)
+    rate_lag: float = quantity(15e-3, "s", "our choice: slower than Betaflight's 9, 10, 14 ms in roll, pitch, yaw")
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
-    estimation_latency: float = quantity(
-        0.1, "s", "our choice: from the request of an estimate to its delivery", zero=True
-    )
-    position_noise: float = quantity(
-        0.2e-3, "m", "our choice: standard deviation per axis of a tracked body", zero=True
-    )
-    attitude_noise: float = quantity(
-        1e-3, "rad", "our choice: standard deviation per axis of a tracked body", zero=True
-    )
-    initial_lean: float = quantity(
-        3e-3, "m", "our choice: standard deviation of a and b when the flight starts", zero=True
-    )
+    estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
+    position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
+    attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
+    initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
 
 
 class Groups:
@@ -324,27 +282,22 @@ def _parsed(value: Any) -> Any:
 
 def _checked(name: str, value: Any, group: Any, key: str) -> Any:
     """The value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
-    current = getattr(group, key)
-    metadata = group.__dataclass_fields__[key].metadata
+    current, metadata = getattr(group, key), group.__dataclass_fields__[key].metadata
 
-    def number(item: Any, like: Any) -> bool:
-        whole = isinstance(item, int) and not isinstance(item, bool)
-        return (whole or (isinstance(item, float) and not isinstance(like, int))) and (
-            item > 0 or (item == 0 and metadata["zero"])
-        )
+    def number(item: Any, kinds: Any = int | float) -> bool:
+        good = isinstance(item, kinds) and not isinstance(item, bool)
+        return good and (item > 0 or (item == 0 and metadata["zero"]))
 
     least = f"{'>=' if metadata['zero'] else '>'} 0 ({metadata['unit']})"
     if isinstance(current, bool | str):
-        kind = "true or false" if isinstance(current, bool) else "a word"
-        good = isinstance(value, type(current))
+        kind, good = "true or false" if isinstance(current, bool) else "a word", isinstance(value, type(current))
     elif isinstance(current, tuple):
         kind = f"{len(current)} numbers {least}"
-        good = isinstance(value, list | tuple) and len(value) == len(current)
-        good = good and all(number(item, 1.0) for item in value)
+        good = isinstance(value, list | tuple) and len(value) == len(current) and all(map(number, value))
         value = tuple(map(float, value)) if good else value
     else:
         kind = f"a {'whole ' if isinstance(current, int) else ''}number {least}"
-        good = number(value, current)
+        good = number(value, int if isinstance(current, int) else int | float)
         value = type(current)(value) if good else value
     if not good:
         raise ValueError(f"{name} must be {kind}, not {value!r}")

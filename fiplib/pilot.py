@@ -14,31 +14,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import body_z_of, euler_angles
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
-from fiplib.estimators.handover import HANDOVERS, HandOver
+from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
-from fiplib.params import (
-    A_DOT,
-    AXES,
-    B_DOT,
-    GRAVITY,
-    NANO,
-    PHI,
-    STATES,
-    THETA,
-    X_DOT,
-    Y_DOT,
-    A,
-    B,
-    Params,
-    Piloting,
-    X,
-    Y,
-)
+from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
 from fiplib.recording import Measurement
 
 
@@ -109,15 +91,11 @@ class Circle:
     ramp: float = 4.0
 
     def at(self, times: NDArray) -> NDArray:
-        since = np.maximum(times - self.start, 0.0)
-        u = np.minimum(since / self.ramp, 1.0)
-        speed = 2 * math.pi / self.period
-        # the angular speed rises as 3 u^2 - 2 u^3; its integral over the whole ramp is half the ramp
-        angle = speed * (self.ramp * (u**3 - u**4 / 2) + np.maximum(since - self.ramp, 0.0))
-        rate = speed * (3 * u**2 - 2 * u**3)
-        cos, sin = self.radius * np.cos(angle), self.radius * np.sin(angle)
-        states = np.zeros((len(times), 10))
-        states[:, X], states[:, X_DOT], states[:, Y], states[:, Y_DOT] = cos, -rate * sin, sin, rate * cos
+        from fiplib.kernels import piloting
+
+        states = np.empty((len(times), len(STATES)))
+        times = np.array(times, dtype=float)
+        piloting.circle(times, self.radius, self.period, self.start, self.ramp, states)
         return states
 
 
@@ -136,10 +114,11 @@ class Observer:
             raise ValueError(
                 f"pendulum_measurement must be 'position' or 'direction', not {piloting.pendulum_measurement!r}"
             )
-        self._piloting = piloting
+        from fiplib.kernels import poses
+
+        self._observe, self._piloting = poses.observe, piloting
         self._stamp: int | None = None
-        self._positions = np.zeros(5)
-        self._velocities = np.zeros(5)
+        self._memory = np.zeros(10)
 
     def update(self, measurement: Measurement, length: float) -> tuple[NDArray, tuple[float, float, float]]:
         """Take one frame.
@@ -151,72 +130,38 @@ class Observer:
         Returns:
             The ten states, and (height in m, climb rate in m/s, yaw in rad). Velocities are zero at the first frame.
         """
-        phi, theta, psi = euler_angles(measurement.vehicle_attitude)
-        x, y, z = (float(value) for value in measurement.vehicle_position)
-        if self._piloting.pendulum_measurement == "position":
-            a, b = float(measurement.pendulum_position[0]) - x, float(measurement.pendulum_position[1]) - y
-        else:
-            a, b = 0.5 * length * body_z_of(measurement.pendulum_attitude)[:2]
-        positions = np.array((x, y, a, b, z))
-        if self._stamp is not None and measurement.stamp > self._stamp:
-            elapsed = (measurement.stamp - self._stamp) / NANO
-            share = 1.0 - math.exp(-2.0 * math.pi * self._piloting.velocity_cutoff * elapsed)
-            self._velocities = self._velocities + share * ((positions - self._positions) / elapsed - self._velocities)
-        self._stamp, self._positions = measurement.stamp, positions
-        state = np.empty(10)
-        state[[X, Y, A, B]] = positions[:4]
-        state[[X_DOT, Y_DOT, A_DOT, B_DOT]] = self._velocities[:4]
-        state[PHI], state[THETA] = phi, theta
-        return state, (z, float(self._velocities[4]), psi)
-
-
-class PID:
-    """A PID loop on a given error and its given derivative, with a bounded integral share."""
-
-    def __init__(self, gains: tuple[float, float, float], integral_limit: float = math.inf) -> None:
-        self._gains, self._limit, self._integral = gains, integral_limit, 0.0
-
-    def update(self, error: float, error_rate: float, elapsed: float) -> float:
-        proportional, integral, derivative = self._gains
-        self._integral = max(-self._limit, min(self._limit, self._integral + integral * error * elapsed))
-        return proportional * error + self._integral + derivative * error_rate
+        elapsed = 0.0 if self._stamp is None else max(0.0, (measurement.stamp - self._stamp) / NANO)
+        self._stamp = measurement.stamp
+        used = 0.0 if self._piloting.pendulum_measurement == "position" else length
+        observed, frame = np.empty(13), np.concatenate(measurement[1:], dtype=float)
+        self._observe(frame, used, elapsed, self._piloting.velocity_cutoff, self._memory, observed)
+        height, climb_rate, yaw = observed[10:].tolist()
+        return observed[:10], (height, climb_rate, yaw)
 
 
 class Pilot:
-    """From poses to body rates and thrust.
-
-    Args:
-        params: all parameters of the flight.
-        reference: the trajectory to follow; its time starts with the first step.
-    """
+    """From poses to body rates and thrust. The time of the reference to follow starts with the first step."""
 
     def __init__(self, params: Params, reference: Reference) -> None:
+        from fiplib.kernels import piloting as loops
+
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
-        self._handover: HandOver = policy(params, self._sampler.seconds / params.estimation.run_period)
+        self._handover = policy(params, self._sampler.seconds / params.estimation.run_period)
         self.length = self._handover.used
         self._mpc = MPC(params)
         self._gains = self._feedback()
         self._observer = Observer(params.piloting)
-        self._altitude = PID(params.piloting.altitude_gains, params.piloting.altitude_integral_limit)
-        self._yaw = PID(params.piloting.yaw_gains)
+        self._loops, self._about = loops.answer, loops.pilot_constants(params, reference.height)
+        self._integrals = np.zeros(2)
         self._horizon = np.arange(params.control.nodes + 1) * params.control.step
-        self._tick_ns = round(NANO / params.piloting.control_rate)
-        self._slack_ns = round(NANO / params.piloting.mocap_rate / 2)
+        self._least = least_period(params.piloting)
         self._first: int | None = None
         self._last: int | None = None
 
     def step(self, now: int, measurement: Measurement) -> Command | None:
-        """Take one frame; at a control tick, say what to do.
-
-        Args:
-            now: time at which the frame arrived, ns.
-            measurement: the frame.
-
-        Returns:
-            The command at a control tick (``control_rate``), ``None`` at the frames between.
-        """
+        """Take one frame that arrived at ``now`` ns; the command at a control tick, ``None`` at the frames between."""
         tick = self.observe(now, measurement)
         if tick is None:
             return None
@@ -229,8 +174,7 @@ class Pilot:
         self._sampler.push_frame(measurement)
         if self._first is None:
             self._first = now
-        # half a frame early counts: arrival times jitter about the tick
-        if self._last is not None and now - self._last < self._tick_ns - self._slack_ns:
+        if self._last is not None and now - self._last < self._least:
             return None
         elapsed = 0.0 if self._last is None else (now - self._last) / NANO
         self._last = now
@@ -247,18 +191,14 @@ class Pilot:
         The feedback is that of the optimal plan where no bound is active: u = -K_0 (x - x_ref), cut off at the bounds.
         """
         limit = self.params.vehicle.max_body_rate
-        return np.clip(self._gains @ (tick.state - place), -limit, limit)
+        return np.clip((self._gains * (tick.state - place)).sum(axis=1), -limit, limit)
 
     def answer(self, tick: Tick, rates: NDArray, status: Status) -> Command:
         """The last part of ``step``: body rates (2,) in rad/s about x and y, with thrust and yaw, as a command."""
-        climb = self._altitude.update(self.reference.height - tick.height, -tick.climb_rate, tick.elapsed)
-        mass = self.params.vehicle.mass + self.params.pendulum.mass
-        lift = mass * (GRAVITY + climb) / (math.cos(tick.state[PHI]) * math.cos(tick.state[THETA]))
-        # AttitudeTarget carries thrust in single precision: fly what is recorded
-        thrust = float(np.float32(max(0.0, min(1.0, lift / self.params.vehicle.max_thrust))))
-        limit = self.params.vehicle.max_body_rate
-        yaw_rate = max(-limit, min(limit, self._yaw.update(-tick.yaw, 0.0, tick.elapsed)))
-        body_rate = np.array((rates[0], rates[1], yaw_rate))
+        command, state = np.empty(4), tick.state
+        measured = (state[PHI], state[THETA], tick.height, tick.climb_rate, tick.yaw)
+        self._loops(*measured, rates[0], rates[1], tick.elapsed, self._about, self._integrals, command)
+        body_rate, thrust = command[:3], float(command[3])
         self._sampler.push_command(tick.now, tick.state, body_rate, thrust)
         return Command(tick.now, body_rate, thrust, tick.state, tick.reference[0], self.length, status)
 
@@ -276,14 +216,9 @@ class Pilot:
         return self._sampler.due(self._last) if self.params.piloting.estimate else None
 
     def receive_estimate(self, length: float, deviation: float = math.nan) -> float:
-        """Take a new estimate over by the policy ``piloting.handover``.
+        """Take a new estimate over by the policy ``piloting.handover``; returns the length used from the next tick on.
 
-        Args:
-            length: raw estimate in m; a non-finite one is ignored.
-            deviation: its standard deviation in m; nan if it has none.
-
-        Returns:
-            The length used from the next tick on, m.
+        All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none.
         """
         self.length = self._handover.update(length, deviation)
         self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
@@ -291,12 +226,17 @@ class Pilot:
 
     def _feedback(self) -> NDArray:
         """-K_0 (2, 10) of the length in use."""
-        gains = np.zeros((2, len(STATES)))
+        gains = np.zeros((2, 10))
         for axis, part in zip(AXES, self._mpc.prepare(self.length), strict=True):
             # z = (s, s', d, d', sign * tilt) and sign * rate: see params.Axis
             signs = axis.sign * np.array((1.0, 1.0, 1.0, 1.0, axis.sign))
-            gains[axis.input, list(axis.states)] = signs * part.plan[0, :5]
+            gains[axis.input, list(axis.states)] = -signs * part.gains[0]
         return gains
+
+
+def least_period(piloting: Piloting) -> int:
+    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick."""
+    return round(NANO / piloting.control_rate) - round(NANO / piloting.mocap_rate / 2)
 
 
 def estimator_of(params: Params) -> Estimator:

@@ -5,32 +5,19 @@ Makefile derives its lists from here. Modules are imported when something of the
 """
 
 import argparse
-import pkgutil
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fiplib import studies
 from fiplib.params import FipError
-from fiplib.reproduction.sources import Sources, read
+from fiplib.reproduction.sources import Product, Sources
 from fiplib.studies import STUDIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fiplib.reproduction.tables import Facts, Table
-
-
-@dataclass(frozen=True)
-class Product(Sources):
-    """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns."""
-
-    address: str
-
-    def load(self) -> "Callable[..., Figure | Table]":
-        """Import the function."""
-        return pkgutil.resolve_name(self.address)
+    from fiplib.reproduction.tables import Table
 
 
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
@@ -68,9 +55,6 @@ PRODUCTS = {
 LEDGER = "claims"
 """The name of the ledger among the products."""
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
-"""The studies whose ``facts`` the report states, in the order of the file that holds them."""
-
 
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
@@ -79,8 +63,9 @@ def ledger() -> Product:
     return Product(
         "fiplib.reproduction.ledger:evaluate",
         bags=_united(claim.bags for claim in CLAIMS),
-        studies=_united([*(claim.studies for claim in CLAIMS), FACTS]),
+        studies=_united([*(claim.studies for claim in CLAIMS), studies.FACTS]),
         benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+        parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
 
 
@@ -102,11 +87,9 @@ def make(name: str, data: Path = Path("data")) -> "Figure | Table":
         if not source:
             again = Sources(studies=product.studies, benchmarks=product.benchmarks).command
             raise FipError(f"{what} is missing: {again}")
-    import matplotlib as mpl
+    from fiplib.reproduction.style import styled
 
-    from fiplib.reproduction.style import STYLE
-
-    with mpl.rc_context(STYLE):
+    with styled():
         return product.load()(*sources)
 
 
@@ -117,68 +100,36 @@ def suffixes(name: str) -> tuple[str, str]:
 
 def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
     """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from fiplib.reproduction.style import STYLE
-
     folder.mkdir(parents=True, exist_ok=True)
     first, second = paths = [folder / f"{name}{suffix}" for suffix in suffixes(name)]
-    if isinstance(made, Figure):
-        with mpl.rc_context(STYLE):
-            FigureCanvasAgg(made)
-            made.savefig(first, metadata={"CreationDate": None, "Producer": None, "Creator": None})
-            made.savefig(second, metadata={"Software": None})
+    if name.startswith("fig"):
+        from fiplib.reproduction import style
+
+        style.save(made, first, second)
     else:
         first.write_text(made.csv(PRODUCTS[name].command), encoding="utf-8")
         second.write_text(made.latex(), encoding="utf-8")
     return paths
 
 
-def facts(data: Path = Path("data")) -> "Facts":
-    """Return what the report states of the studies in ``FACTS``; a study that is not complete has nothing to state."""
-    rows = {study: read(study, data) for study in FACTS}
-    return {
-        (study, *words): text
-        for study in FACTS
-        if rows[study]
-        for words, text in studies.load(STUDIES[study]).facts(rows[study]).items()
-    }
-
-
 def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
     """Judge every claim and write the ledger, its LaTeX files into the folder ``generated``."""
     from fiplib.reproduction import ledger
 
-    return ledger.write(ledger.evaluate(data), folder, generated, facts(data))
+    return ledger.write(ledger.evaluate(data), folder, generated, studies.facts(data))
 
 
-# --- what the Makefile includes
-
-
-def makefile(data: Path = Path("data")) -> str:
+def makefile() -> str:
     """The registry as the Makefile includes it: names, files, and the sources of each product."""
     from fiplib.reproduction import dependencies
 
     everything = PRODUCTS | {LEDGER: ledger()}
-    common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
     lines = [
         f"PRODUCTS := {' '.join(PRODUCTS)}",
         f"BAGS := {' '.join(sorted(_united(product.bags for product in everything.values())))}",
         *(f"files_{name} := {' '.join(f'figures/{name}{suffix}' for suffix in suffixes(name))}" for name in PRODUCTS),
     ]
-    scanned = set(common)
-    for name, product in everything.items():
-        functions = [product.address, *(["fiplib.bags:read"] if product.bags else [])]
-        if name == LEDGER:
-            functions += ["fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in FACTS)]
-        files = dict.fromkeys([*common, *dependencies.files(*functions)])
-        scanned.update(files)
-        lines.append(f"sources_{name} := {' '.join(map(str, [*files, *product.files(data)]))}")
-    sources = " ".join(sorted(map(str, scanned)))
-    # a source without a rule would stop make once it is deleted; with an empty one, this file is made again
-    return "\n".join([*lines, f".make/products.mk: {sources}", f"{sources}:", ""])
+    return "\n".join([*lines, *dependencies.rules(everything), ""])
 
 
 # --- fip figures

@@ -1,13 +1,13 @@
 """What a flight leaves behind: frames, signals, events, and what they are recorded to."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiplib.params import NANO, STATE_NAMES, STATES, FipError, Params
 
@@ -48,19 +48,14 @@ class Role(NamedTuple):
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("m", "m", "m", "1", "1", "1", "1")
+_COMMAND = ("omega_x", "omega_y", "omega_z", "thrust"), ("rad/s", "rad/s", "rad/s", "1")
 _STATE_UNITS = tuple(signal.unit for signal in STATES)
 
 ROLES = {
     "vehicle": Role("/mocap/quad/pose", POSE, "world", *_POSE),
     "pendulum": Role("/mocap/pendulum/pose", POSE, "world", *_POSE),
     "state": Role("/fip/state", JOINTS, "world", STATE_NAMES, _STATE_UNITS),
-    "command": Role(
-        "/fip/command",
-        ATTITUDE,
-        "base_link",
-        ("omega_x", "omega_y", "omega_z", "thrust"),
-        ("rad/s", "rad/s", "rad/s", "1"),
-    ),
+    "command": Role("/fip/command", ATTITUDE, "base_link", *_COMMAND),
     "reference": Role("/fip/reference", JOINTS, "world", STATE_NAMES, _STATE_UNITS),
     "length": Role("/fip/length", POINT, "world", ("used", "estimate", "standard_deviation"), ("m", "m", "m")),
     "events": Role("/fip/events", LOG, "", (), ()),
@@ -102,6 +97,11 @@ class Series:
     """(n, k) float64."""
     names: tuple[str, ...]
     units: tuple[str, ...]
+
+    @classmethod
+    def of(cls, role: str, stamp: np.ndarray, values: np.ndarray) -> "Series":
+        """Return the signal of a role, with its names and units."""
+        return cls(stamp, values, ROLES[role].names, ROLES[role].units)
 
     def column(self, name: str) -> np.ndarray:
         """The column (n,) of that name. Raises KeyError, with the names there are."""
@@ -196,7 +196,7 @@ EPOCH = 1_767_225_600 * NANO
 class Recorder(Protocol):
     """Where a flight is written to. Stamps are int nanoseconds; ``bags.BagRecorder`` writes a ROS 2 bag.
 
-    A recorder takes ``numbers`` and events; the other methods say which numbers those are.
+    A recorder takes ``numbers`` and events; the other methods put together the numbers of some roles.
     """
 
     failed: str | None = None
@@ -206,28 +206,15 @@ class Recorder(Protocol):
         """Take one message: the numbers that ``ROLES`` names, and for a pose the time at which it was received."""
         ...
 
-    def event(
-        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
-    ) -> None:
+    def event(self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping | None = None) -> None:
         """Take what happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
         ...
 
     def pose(
         self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
     ) -> None:
-        """Pose of ``vehicle`` or ``pendulum``: position (3,) in m, quaternion (4,) as x, y, z, w.
-
-        ``stamp`` is the time of exposure, ``received`` the time of delivery.
-        """
+        """Pose of a body, exposed at ``stamp``, delivered at ``received``: (3,) in m, quaternion (4,) as x, y, z, w."""
         self.numbers(body, stamp, (*position, *orientation), received)
-
-    def state(self, stamp: int, values: Sequence[float]) -> None:
-        """The state the controller used, (10,) in the order of ``params.STATES``."""
-        self.numbers("state", stamp, values)
-
-    def reference(self, stamp: int, values: Sequence[float]) -> None:
-        """The reference at this tick, (10,) in the order of ``params.STATES``."""
-        self.numbers("reference", stamp, values)
 
     def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
         """Body rates (3,) in rad/s and normalised thrust, 0 to 1. A bag carries thrust in single precision."""
@@ -236,14 +223,6 @@ class Recorder(Protocol):
     def length(self, stamp: int, used: float, raw: float, std: float) -> None:
         """Length that the controller uses, the raw estimate, and its standard deviation (both may be NaN), in m."""
         self.numbers("length", stamp, (used, raw, std))
-
-    def truth(self, stamp: int, values: Sequence[float]) -> None:
-        """True state, (11,): ``params.STATES`` and the altitude z. Simulator only."""
-        self.numbers("truth_state", stamp, values)
-
-    def truth_length(self, stamp: int, length: float) -> None:
-        """True length of the rod in m. Simulator only."""
-        self.numbers("truth_length", stamp, (length,))
 
 
 class MemoryRecorder(Recorder):
@@ -266,27 +245,36 @@ class MemoryRecorder(Recorder):
         if self._other:
             self._other.numbers(role, stamp, values, received)
 
-    def event(
-        self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping[str, Any] | None = None
-    ) -> None:
+    def event(self, stamp: int, level: str, text: str, kind: str = "note", data: Mapping | None = None) -> None:
         self.events.append(Event(stamp, level, text, kind, data or {}))
         if self._other:
             self._other.event(stamp, level, text, kind, data)
 
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
         """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
-        stamps = {role: np.array(known, np.int64) for role, known in self.stamps.items()}
-        values = {role: np.array(known, np.float64) for role, known in self.values.items()}
-        for array in (*stamps.values(), *values.values()):
-            array.flags.writeable = False
-        bodies = {
-            body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
-            for body in ("vehicle", "pendulum")
-        }
-        series = {
-            role: Series(stamps[role], values[role], entry.names, entry.units) if role in stamps else None
-            for role, entry in ROLES.items()
-            if role not in (*bodies, "events")
-        }
-        start = int(min(poses.stamp[0] for poses in bodies.values()))
-        return Flight(Path(path), metadata, events=tuple(self.events), start_ns=start, topics=(), **bodies, **series)
+        return flight_of(path, metadata, self.stamps, self.values, self.events)
+
+
+def flight_of(
+    path: str | Path,
+    metadata: dict[str, Any],
+    stamps: Mapping[str, ArrayLike],
+    values: Mapping[str, ArrayLike],
+    events: Iterable[Event],
+) -> Flight:
+    """The flight of stamps (ns) and values by role, as a ``MemoryRecorder`` keeps them; the arrays are copied."""
+    stamps = {role: np.array(known, np.int64) for role, known in stamps.items()}
+    values = {role: np.array(known, np.float64) for role, known in values.items()}
+    for array in (*stamps.values(), *values.values()):
+        array.flags.writeable = False
+    bodies = {
+        body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
+        for body in ("vehicle", "pendulum")
+    }
+    series = {
+        role: Series.of(role, stamps[role], values[role]) if role in stamps else None
+        for role in ROLES
+        if role not in (*bodies, "events")
+    }
+    start = int(min(poses.stamp[0] for poses in bodies.values()))
+    return Flight(Path(path), metadata, events=tuple(events), start_ns=start, topics=(), **bodies, **series)

@@ -20,9 +20,9 @@ from fiplib.estimators.likelihood import maximum_likelihood
 from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
 from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
-from fiplib.params import NANO, STATE_NAMES, STATES, Params
+from fiplib.params import NANO, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
-from fiplib.recording import ROLES, TOPICS, BagError, Flight, Measurement, Series
+from fiplib.recording import TOPICS, BagError, Flight, Measurement, Series
 
 if TYPE_CHECKING:
     from fiplib.estimators.poses.estimate import PoseEstimate
@@ -80,17 +80,9 @@ def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
     vehicle, pendulum = flight.vehicle, flight.pendulum
     latest = np.searchsorted(pendulum.received, vehicle.received, side="right") - 1
     for index in np.nonzero(latest >= 0)[0]:
-        other = latest[index]
-        yield (
-            int(vehicle.received[index]),
-            Measurement(
-                int(vehicle.stamp[index]),
-                vehicle.position[index],
-                vehicle.orientation[index],
-                pendulum.position[other],
-                pendulum.orientation[other],
-            ),
-        )
+        seat = vehicle.position[index], vehicle.orientation[index]
+        rod = pendulum.position[latest[index]], pendulum.orientation[latest[index]]
+        yield int(vehicle.received[index]), Measurement(int(vehicle.stamp[index]), *seat, *rod)
 
 
 def states(flight: Flight) -> Series:
@@ -99,12 +91,8 @@ def states(flight: Flight) -> Series:
         return flight.state
     observer, length = Observer(flight.params.piloting), flight.params.piloting.initial_length
     derived = [(now, observer.update(measurement, length)[0]) for now, measurement in measurements(flight)]
-    return Series(
-        np.array([now for now, _ in derived]),
-        np.array([state for _, state in derived]).reshape(-1, len(STATES)),
-        STATE_NAMES,
-        tuple(signal.unit for signal in STATES),
-    )
+    stamps, rows = np.array([now for now, _ in derived]), np.array([state for _, state in derived])
+    return Series.of("state", stamps, rows.reshape(-1, len(STATES)))
 
 
 def reference(flight: Flight) -> Reference:
@@ -119,25 +107,21 @@ def reference(flight: Flight) -> Reference:
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
     """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
-    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError: the bag does
-    not say which reference was followed, and none is given.
+    ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError as
+    ``reference``, if none is given.
     """
     pilot = Pilot(params or flight.params, follow or reference(flight))
     length = flight.length
     estimates = [] if length is None else list(zip(length.stamp, length.values[:, 1:].tolist(), strict=True))[::-1]
-    given = []
+    stamps, rows = [], []
     for now, measurement in measurements(flight):
         command = pilot.step(now, measurement)
         if command is not None:
-            given.append((command.stamp, *command.body_rate, command.thrust))
+            stamps.append(command.stamp)
+            rows.append((*command.body_rate, command.thrust))
         while estimates and estimates[-1][0] <= now:
             pilot.receive_estimate(*estimates.pop()[1])
-    return Series(
-        np.array([row[0] for row in given], dtype=np.int64),
-        np.array([row[1:] for row in given]).reshape(-1, 4),
-        ("omega_x", "omega_y", "omega_z", "thrust"),
-        ("rad/s", "rad/s", "rad/s", "1"),
-    )
+    return Series.of("command", np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, 4))
 
 
 def at_recorded_rate(params: Params, command: Series) -> Params:
@@ -153,10 +137,8 @@ def at_recorded_rate(params: Params, command: Series) -> Params:
 def refit(flight: Flight, params: Params | None = None) -> Flight:
     """The flight with the lengths that an estimator finds in it now, taken over as the pilot would have.
 
-    With the parameters of the flight these are the recorded lengths, to the last bit.
-
-    ``params`` are other parameters (estimator, window, hand-over). Raises BagError: the bag cannot be refitted; the
-    message says why.
+    With the parameters of the flight these are the recorded lengths, to the last bit; ``params`` are others (estimator,
+    window, hand-over). Raises BagError: the bag cannot be refitted; the message says why.
     """
     params = params or flight.params
     estimator, found = estimator_of(params), windows(flight, params)
@@ -168,8 +150,7 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
         length, deviation = answer.length, answer.standard_deviation
         stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
         rows.append((policy.update(length, deviation), length, deviation))
-    role = ROLES["length"]
-    return replace(flight, length=Series(np.array(stamps), np.array(rows), role.names, role.units))
+    return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)))
 
 
 def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
@@ -204,12 +185,8 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
     scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
     refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
 
-    Args:
-        flight: the recorded flight.
-        params: other parameters (vehicle, rod, noise) than those it was flown with. The rod's length is not read.
-
-    Raises:
-        BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
+    ``params`` are others (vehicle, rod, noise) than those it was flown with; the rod's length is not read. Raises
+    BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
     """
     known = params is not None or "params" in flight.metadata
     params = params or flight.params
@@ -253,19 +230,11 @@ def spaced_windows(flight: Flight) -> list[Window]:
 
 
 def window_between(flight: Flight, start: float, end: float, params: Params) -> tuple[Window, Params]:
-    """The window of states of a stretch of flight, sampled as the pilot does it.
+    """The window of states between two times in s since the start, sampled as the pilot does it.
 
-    Args:
-        flight: the recorded flight.
-        start, end: in s since the start of the flight.
-        params: with the sampling period; the number of samples follows from it.
-
-    Returns:
-        The window, and the parameters with its number of samples and the rate at which commands were recorded.
-
-    Raises:
-        BagError: the bag holds no commands.
-        ValueError: fewer than 2 samples, or more than ``MOST_SAMPLES``.
+    ``params`` give the sampling period. They are returned, too, with the number of samples and the rate at which
+    commands were recorded. Raises BagError: the bag holds no commands; ValueError: fewer than 2 samples, or more than
+    ``MOST_SAMPLES``.
     """
     command = _commands(flight, -math.inf)
     params, at = at_recorded_rate(params, command), flight.time(command)
@@ -285,14 +254,8 @@ def raw_windows(
 ) -> list[TimedWindow]:
     """Windows of raw motion capture of a flight, for the estimators that take them.
 
-    Args:
-        flight: the recorded flight.
-        seconds: span of a window.
-        every: s from one window to the next; windows overlap when it is shorter than ``seconds``.
-        start, end: only what lies between these times is used, s since the start of the flight.
-
-    Raises:
-        BagError: the bag cannot be refitted; the message says why.
+    A window spans ``seconds``; the next one comes ``every`` s later, and overlaps it when that is shorter. Only what
+    lies between ``start`` and ``end``, in s since the start of the flight, is used. Raises BagError as ``windows``.
     """
     command = _commands(flight, seconds)
     last = np.searchsorted(flight.time(command), end, side="right")

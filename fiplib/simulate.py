@@ -8,16 +8,15 @@ after the delay and lag of the inner loop.
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib import __version__
-from fiplib.dynamics import PLANT, body_z_of, coupled_plant, euler_angles, rk4
+from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
@@ -25,9 +24,6 @@ from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
 from fiplib.pilot import Circle, Hover, Pilot, Reference, estimator_of
 from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
-
-FALLEN = math.cos(math.radians(60.0))
-"""A rod (or a vehicle) that leans further than 60 degrees is not coming back: the flight ends."""
 
 GROUND = 0.05
 """Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
@@ -90,35 +86,34 @@ class Plant:
     """
 
     def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
+        from fiplib.kernels import poses, vehicle
+
         simulation = params.simulation
         self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
         self._radius = params.pendulum.length / 2
         self.x = np.zeros(20)
         self.x[PLANT["position"]] = position
         self.x[9] = 1.0
-        direction = np.array([*lean, 0.0]) / self._radius
-        direction[2] = math.sqrt(1.0 - direction @ direction)
-        self.x[PLANT["direction"]] = direction
+        across, along = (float(offset) / self._radius for offset in lean)
+        self.x[PLANT["direction"]] = across, along, math.sqrt(1.0 - across * across - along * along)
         weight = (params.vehicle.mass + params.pendulum.mass) * GRAVITY
         self.x[PLANT["thrust"]] = weight
         self._commands: deque[tuple[int, NDArray]] = deque()
         self._held = np.array([0.0, 0.0, 0.0, weight])
         self._substep = 0
         latency = simulation.mocap_latency + simulation.rate_delay
-        self._delay = round(latency * simulation.plant_rate)
-        # CasADi reads and writes these arrays in place: no conversion on the way
-        self._schedule, self._force, self._next = np.zeros((self.substeps, 4)), np.zeros(3), np.zeros(20)
-        self._buffer, self._advance = _frame(params, self.substeps).buffer()
-        for index, array in enumerate((self.x, self._schedule.reshape(-1), self._force)):
-            self._buffer.set_arg(index, memoryview(array))
-        self._buffer.set_res(0, memoryview(self._next))
+        self.delay = round(latency * simulation.plant_rate)
+        """Substeps after which a command acts."""
+        self._schedule = np.zeros((self.substeps, 4))
+        self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
+        self._about = vehicle.plant_constants(params)
 
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
 
         In real time ``at`` says the substep at which it acts instead, counted from the start.
         """
-        self._commands.append((self._substep + self._delay if at is None else at, np.array([*body_rate, thrust])))
+        self._commands.append((self._substep + self.delay if at is None else at, np.array([*body_rate, thrust])))
 
     def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
@@ -126,91 +121,63 @@ class Plant:
             while self._commands and self._commands[0][0] <= self._substep + row:
                 self._held = self._commands.popleft()[1]
             self._schedule[row] = self._held
-        self._force[:] = force
-        self._advance()
-        self.x[:] = self._next
+        self._advance(self.x, self._schedule, np.array(force, dtype=float), self._about)
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
         """The ten true states and the height z, in the order of ``recording.ROLES["truth_state"]``."""
-        x, r = self.x, self._radius
-        phi, theta, _ = euler_angles(x[6:10])
-        a, b, a_dot, b_dot = r * x[10], r * x[11], r * x[13], r * x[14]
-        return np.array((x[0], x[3], x[1], x[4], a, a_dot, b, b_dot, phi, theta, x[2]))
+        truth = np.empty(11)
+        self._true_state(self.x, self._radius, truth)
+        return truth
 
     @property
     def fallen(self) -> bool:
         """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
-        x = self.x
-        return bool(x[12] < FALLEN or body_z_of(x[PLANT["attitude"]])[2] < FALLEN or x[2] < 0.1)
-
-
-def _frame(params: Params, substeps: int) -> ca.Function:
-    """The plant over one frame: RK4 substeps, each followed by the projection onto unit quaternion and direction."""
-    x, commands, force = ca.MX.sym("x", 20), ca.MX.sym("commands", 4, substeps), ca.MX.sym("force", 3)
-    state = ca.SX.sym("x", 20)
-    attitude, direction, rate = (state[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
-    q = direction / ca.norm_2(direction)
-    unit = ca.vertcat(state[:6], attitude / ca.norm_2(attitude), q, rate - q * ca.dot(q, rate), state[16:])
-    project = ca.Function("project", [state], [unit])
-    step = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)
-    after = x
-    for column in range(substeps):
-        after = project(step(after, commands[:, column], force))
-    return ca.Function("frame", [x, commands, force], [after]).expand()
+        return self._fallen(self.x)
 
 
 class Mocap:
     """Motion capture of both bodies: seeded noise, then rounding to the single precision that NatNet streams."""
 
     def __init__(self, params: Params, frames: int, rng: np.random.Generator) -> None:
+        from fiplib.kernels import poses
+
+        self._expose = poses.expose
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
-        self._noise = rng.normal(size=(frames, 12)) * scale
+        self.noise = rng.normal(size=(frames, 12)) * scale
+        """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
         self._radius = params.pendulum.length / 2
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
         """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
-        noise = self._noise[index]
-        q = x[PLANT["direction"]]
-        # shortest rotation that takes the z axis to the rod's direction
-        upright = np.array((-q[1], q[0], 0.0, 1.0 + q[2])) / math.sqrt(2.0 * (1.0 + q[2]))
-        return Measurement(
-            stamp,
-            _single(x[:3] + noise[:3]),
-            _single(_turned(x[PLANT["attitude"]], noise[6:9])),
-            _single(x[:3] + self._radius * q + noise[3:6]),
-            _single(_turned(upright, noise[9:12])),
-        )
+        frame = np.empty(14)
+        self._expose(x, self._radius, self.noise[index], frame)
+        return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
 
 
-def _single(values: NDArray) -> NDArray:
-    return values.astype(np.float32).astype(np.float64)
+class PushSchedule:
+    """Pushes frame by frame, ``rate`` of them a second."""
 
+    def __init__(self, pushes: Iterable[Push], rate: float) -> None:
+        self._pushes, self._rate = deque(pushes), rate
 
-def _turned(q: NDArray, angle: NDArray) -> NDArray:
-    """The quaternion q turned by a small rotation vector (3,) in the body frame."""
-    x, y, z, w = q
-    i, j, k = angle / 2.0
-    turned = np.array((x + w * i + y * k - z * j, y + w * j + z * i - x * k, z + w * k + x * j - y * i, 0.0))
-    turned[3] = w - x * i - y * j - z * k
-    return turned / math.sqrt(float(turned @ turned))
-
-
-class Rates(Protocol):
-    """What ``Command`` and a setpoint have in common: ``body_rate`` (3,) in rad/s, ``thrust`` normalised to [0, 1]."""
-
-    @property
-    def body_rate(self) -> ArrayLike: ...
-    @property
-    def thrust(self) -> float: ...
+    def at(self, frame: int) -> tuple[NDArray, Push | None]:
+        """Force (3,) in N on the rod's COM over a frame, the next one; and the push that begins in it, if one does."""
+        seconds, force, begun = frame / self._rate, np.zeros(3), None
+        if self._pushes and seconds >= self._pushes[0].start:
+            push = self._pushes[0]
+            if seconds < push.start + 1 / self._rate:
+                begun = push
+            force[:2] = np.array(push.impulse) / push.duration
+            if seconds >= push.start + push.duration - 1 / self._rate:
+                self._pushes.popleft()
+        return force, begun
 
 
 class SimulatedVehicle:
     """A scenario's plant, its motion capture and its pushes, frame by frame; held in place until first commanded.
 
-    Args:
-        scenario: start, reference, pushes, parameters and seed of the flight.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
+    ``vehicle`` makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
 
     def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
@@ -219,20 +186,24 @@ class SimulatedVehicle:
         start = scenario.reference.at(np.zeros(1))[0]
         lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
         self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height), lean)
-        self._pushes = deque(scenario.pushes)
+        self.pushes = PushSchedule(scenario.pushes, self.rate)
         self._frames = 0
         self.flown: int | None = None
         """Frames since it was first commanded; ``None`` before."""
+
+    def mocap(self, frames: int) -> Mocap:
+        """Motion capture of the next frames: their noise follows that of the frames before."""
+        return Mocap(self._params, frames, self._rng)
 
     def measure(self, stamp: int) -> Measurement:
         """The frame exposed now, at ``stamp`` ns."""
         index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
         if index == 0:
-            self._mocap = Mocap(self._params, NOISE_FRAMES, self._rng)
+            self._mocap = self.mocap(NOISE_FRAMES)
         return self._mocap.frame(index, stamp, self.plant.x)
 
-    def command(self, command: Rates, at: int | None = None) -> None:
-        """Take a command, to act after the usual delay or at a substep of the plant."""
+    def command(self, command: Any, at: int | None = None) -> None:
+        """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""
         self.flown = self.flown or 0
         self.plant.command(command.body_rate, command.thrust * self._params.vehicle.max_thrust, at)
 
@@ -240,14 +211,7 @@ class SimulatedVehicle:
         """One frame further; the push that begins in it, if one does: record its ``event``."""
         if self.flown is None or self.plant.x[2] < GROUND:
             return None
-        seconds, force, begun = self.flown / self.rate, np.zeros(3), None
-        if self._pushes and seconds >= self._pushes[0].start:
-            push = self._pushes[0]
-            if seconds < push.start + 1 / self.rate:
-                begun = push
-            force[:2] = np.array(push.impulse) / push.duration
-            if seconds >= push.start + push.duration - 1 / self.rate:
-                self._pushes.popleft()
+        force, begun = self.pushes.at(self.flown)
         self.plant.advance(force)
         self.flown += 1
         return begun
@@ -277,6 +241,11 @@ class SimulatedEstimator:
         self._ready: tuple[int, Estimate] | None = None
         self.remarks: deque[tuple[str, str]] = deque()
 
+    @property
+    def due(self) -> int | None:
+        """When the answer of the run under way will be delivered, ns; ``None`` if none is."""
+        return self._ready[0] if self._ready else None
+
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
         answer = None
         if self._ready and now >= self._ready[0]:
@@ -293,12 +262,8 @@ class SimulatedEstimator:
 class LengthUpdates:
     """The lengths that a pilot receives in flight: those prescribed by the scenario, and those that are estimated.
 
-    Args:
-        scenario: its ``told_lengths`` are the prescribed ones.
-        estimator: beside the flight, or ``None``.
-        receive: hands (time ns, length m, standard deviation m) over; returns the length used from then on.
-        recorder: of lengths, refusals and the estimator's remarks.
-        say: takes the remarks, too.
+    ``receive`` hands (time ns, length m, standard deviation m) over and returns the length used from then on. Lengths,
+    refusals and the estimator's remarks are recorded; ``say`` takes the remarks, too.
     """
 
     def __init__(
@@ -315,6 +280,11 @@ class LengthUpdates:
         """The last estimate that was not refused."""
         self._refused: str | None = None
 
+    @property
+    def prescribed_at(self) -> float:
+        """Seconds after the start at which the next prescribed length is due; inf if there is none."""
+        return self._prescribed[0][0] if self._prescribed else math.inf
+
     def update(self, now: int, seconds: float, window: Window | RawWindow | None) -> None:
         """One frame at ``now`` ns, ``seconds`` after the start (nan before it), with a window if a run is due."""
         if self._estimator is not None:
@@ -323,22 +293,17 @@ class LengthUpdates:
                 level, text = self._estimator.remarks.popleft()
                 self._recorder.event(now, level, text)
                 self._say(text)
-            if estimate is not None:
-                self._estimated(now, estimate)
-        if self._prescribed and seconds >= self._prescribed[0][0]:
+            if estimate is not None and estimate.reason is None:
+                used = self._receive(now, estimate.length, estimate.standard_deviation)
+                self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
+                self.latest, self._refused = estimate, None
+            elif estimate is not None and (reason := estimate.reason) != self._refused:  # recorded once, not every run
+                self._refused = reason
+                self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
+        if seconds >= self.prescribed_at:
             length = self._prescribed.popleft()[1]
             self._recorder.event(now, "warn", f"pilot is told the length {length:g} m", "length", {"length": length})
             self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
-
-    def _estimated(self, now: int, estimate: Estimate) -> None:
-        reason = estimate.reason
-        if reason is None:
-            used = self._receive(now, estimate.length, estimate.standard_deviation)
-            self._recorder.length(now, used, estimate.length, estimate.standard_deviation)
-            self.latest = estimate
-        elif reason != self._refused:
-            self._recorder.event(now, "warn", f"no estimate: {reason}", "refusal", {"reason": reason})
-        self._refused = reason
 
 
 def fly(
@@ -347,16 +312,10 @@ def fly(
     progress: Callable[[float], None] | None = None,
     vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
 ) -> Flight:
-    """Fly a scenario in the simulator, through the pilot.
+    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
 
-    Args:
-        scenario: the flight.
-        recorder: where it is also written to.
-        progress: called with the simulated seconds done, about once per simulated second.
-        vehicle: makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
-
-    Returns:
-        The flight, as ``bags.read`` gives it from its bag; a fall ends it early and is recorded as an event.
+    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
+    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
     """
     params, rate = scenario.params, scenario.params.piloting.mocap_rate
     tape = MemoryRecorder(recorder)
@@ -366,7 +325,7 @@ def fly(
     latency = round(params.simulation.mocap_latency * NANO)
     status = Status.OPTIMAL
 
-    tape.truth_length(EPOCH, params.pendulum.length)
+    tape.numbers("truth_length", EPOCH, [params.pendulum.length])
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     for index in range(round(scenario.duration * rate)):
         seconds = index / rate
@@ -375,61 +334,67 @@ def fly(
         measurement = simulated.measure(stamp)
         tape.pose("vehicle", stamp, now, measurement.vehicle_position, measurement.vehicle_attitude)
         tape.pose("pendulum", stamp, now, measurement.pendulum_position, measurement.pendulum_attitude)
-        tape.truth(stamp, simulated.plant.truth())
+        tape.numbers("truth_state", stamp, simulated.plant.truth())
         command = pilot.step(now, measurement)
         if command is not None:
             simulated.command(command)
-            tape.state(now, command.state)
-            tape.reference(now, command.reference)
+            tape.numbers("state", now, command.state)
+            tape.numbers("reference", now, command.reference)
             tape.command(now, command.body_rate, command.thrust)
             if command.status is not status:
                 status = command.status
-                tape.event(now, "info", f"MPC status {status.value}", "status", {"status": status.value})
+                tape.event(*event_of_status(now, status))
         lengths.update(now, seconds, pilot.window_due())
         if push := simulated.advance():
             tape.event(*push.event(now))
         if simulated.plant.fallen:
-            tape.event(now, "error", "rod or vehicle fell: flight ended", "fall")
+            tape.event(*event_of_fall(now))
             break
         if progress and index % round(rate) == 0:
             progress(seconds)
     return tape.flight(scenario.name, scenario.metadata())
 
 
-def _scenarios() -> dict[str, Scenario]:
-    params = Params()
-    quick = Circle(radius=0.4, period=8.0)
-    flights = [
-        Scenario(
-            "push-hover",
-            "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
-            26.0,
-            Hover(),
-            pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
-        ),
-        Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
-        *(
-            Scenario(
-                f"estimate-{length:.1f}",
-                f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
-                25.0,
-                quick,
-                params=params.replace(piloting__initial_length=length, piloting__estimate=True),
-                seed=seed,
-            )
-            for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
-        ),
-        Scenario(
-            "length-jump",
-            "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
-            26.0,
-            quick,
-            told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
-            params=params.replace(estimation__median_length=1),
-        ),
-    ]
-    return {scenario.name: scenario for scenario in flights}
+def event_of_status(stamp: int, status: Status) -> Event:
+    """The event to record when the MPC's answer is of another kind than the one before, at ``stamp`` ns."""
+    return Event(stamp, "info", f"MPC status {status.value}", "status", {"status": status.value})
 
 
-SCENARIOS = _scenarios()
+def event_of_fall(stamp: int) -> Event:
+    """The event that ends a flight early, at ``stamp`` ns."""
+    return Event(stamp, "error", "rod or vehicle fell: flight ended", "fall")
+
+
+_QUICK = Circle(radius=0.4, period=8.0)
+_FLIGHTS = (
+    Scenario(
+        "push-hover",
+        "Hover at (0, 0, 1.3) m; the rod is pushed at 5.3, 12 and 20.2 s",
+        26.0,
+        Hover(),
+        pushes=(Push(5.3, (0.008, 0.0)), Push(12.0, (0.0, 0.007)), Push(20.2, (-0.005, 0.005))),
+    ),
+    Scenario("circle-0.8", "Circle of 0.8 m radius", 26.0, Circle(radius=0.8, period=9.0)),
+    *(
+        Scenario(
+            f"estimate-{length:.1f}",
+            f"Circle of 0.4 m radius; the length is estimated in flight from l0 = {length:.1f} m",
+            25.0,
+            _QUICK,
+            params=Params().replace(piloting__initial_length=length, piloting__estimate=True),
+            seed=seed,
+        )
+        for seed, length in enumerate((0.8, 1.2, 1.4), start=1)
+    ),
+    Scenario(
+        "length-jump",
+        "Circle of 0.4 m radius; the pilot is told lengths that jump by 0.6 m, and then by 0.85 m",
+        26.0,
+        _QUICK,
+        told_lengths=((6.0, 0.4), (11.0, 1.0), (16.0, 1.85)),
+        params=Params().replace(estimation__median_length=1),
+    ),
+)
+
+SCENARIOS = {scenario.name: scenario for scenario in _FLIGHTS}
 """The flights recorded in ``data/``, by name."""

@@ -17,7 +17,6 @@ from pathlib import Path
 from fiplib.__main__ import guarded
 from fiplib.flight import command
 from fiplib.flight.failsafe import Guard
-from fiplib.flight.session import Session
 from fiplib.pilot import Pilot
 
 
@@ -32,19 +31,14 @@ def fly(options: argparse.Namespace) -> int:
 
     # The simulator alone: plant, motion capture and pilot, as fast as possible; so the bags in data/ are made.
     if not command.behind_failsafe(options, limits):
-        command.fly_simulated(scenario, output, options.force)
-        return 0
-
-    # The link: how poses come in and commands go out. The simulated vehicle, ROS 2, or a radio.
-    link = command.chosen_link(options, scenario, limits)
+        return command.fly_simulated(scenario, output, options.force)
 
     # The pilot (poses to states, MPC, the length in use), and around it the guard: it judges every frame and answer.
-    pilot = Pilot(scenario.params, scenario.reference)
-    guard = Guard(pilot, limits)
+    guard = Guard(Pilot(scenario.params, scenario.reference), limits)
 
-    # The recorder, and what else runs beside the flight: the estimator of the length, the operator's keys, a display.
-    real_time, ask = command.in_real_time(options), command.asks(options, link)
-    session = Session(scenario, limits, link, output, real_time, ask, options.force)
+    # The link, by which poses come in and commands go out: the simulated vehicle, ROS 2, or a radio. The recorder, and
+    # what else runs beside the flight: the estimator of the length, the operator's keys, a display.
+    session = command.session_of(options, scenario, limits, output)
 
     # Run: frames from the link to the guard, setpoints back, everything to the recorder.
     return command.fly(session, guard)

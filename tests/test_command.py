@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -95,8 +96,8 @@ def test_names_that_are_not_ascii_are_printed_in_any_locale(tmp_path):
 def test_a_signal_ends_a_flight_with_its_status_and_leaves_a_readable_bag(tmp_path, ended, status):
     bag = tmp_path / "flight"
     with start("fly", "--scenario", "circle-0.8", "--output", str(bag), stderr=subprocess.PIPE) as process:
-        while process.poll() is None and not list(bag.parent.rglob("*.mcap")):
-            pass
+        while process.poll() is None and sum(file.stat().st_size for file in bag.glob("*.mcap")) < 10_000:
+            time.sleep(0.02)  # until some of the flight is on the disk
         process.send_signal(ended)
         said = process.stderr.read()
         assert process.wait(timeout=120) == status

@@ -15,7 +15,6 @@ from packaging.utils import canonicalize_name
 from ruamel.yaml import YAML
 
 from fiplib import products
-from tests.conftest import NUMERIC_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -102,6 +101,8 @@ def test_binder_installs_the_library_as_make_does():
     command = "pip install --no-deps --no-build-isolation --editable ."
     assert command in (ROOT / "postBuild").read_text()
     assert command in MAKEFILE.replace("--disable-pip-version-check --quiet ", "")
+    compiling = "-c 'from fiplib import kernels; kernels.load()'"
+    assert compiling in (ROOT / "postBuild").read_text() and compiling in MAKEFILE
     assert not (ROOT / "binder").exists()  # with such a folder Binder would not look at environment.yml here
 
 
@@ -123,21 +124,25 @@ def test_make_help_is_the_default_and_lists_every_public_target():
     assert make() == make("help")
 
 
-def test_make_and_the_tests_pin_the_same_numeric_environment():
+def test_make_and_the_tests_run_openblas_with_one_thread():
     exported = dict(re.findall(r"^export (\w+) := (.*)$", MAKEFILE, re.MULTILINE))
-    assert exported == NUMERIC_ENVIRONMENT
-    assert NUMERIC_ENVIRONMENT.items() <= os.environ.items()
+    assert exported == {"OPENBLAS_NUM_THREADS": "1"}
+    assert exported.items() <= os.environ.items()
 
 
 @pytest.mark.skipif(
     sys.platform != "linux" or platform.machine() != "x86_64", reason="the kernels are pinned by their x86-64 names"
 )
-def test_numpy_knows_every_kernel_that_is_switched_off():
+def test_numpy_knows_every_kernel_that_is_switched_off_for_sweeps():
+    pinned = dict(re.findall(r"^sweep: export (\w+) := (.*)$", MAKEFILE, re.MULTILINE))
+    assert pinned.keys() == {"OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"}
     # A name that this NumPy does not dispatch on is only an ImportWarning: the pin would silently do nothing.
     code = "from numpy._core._multiarray_umath import __cpu_features__ as f; print(*(k for k, on in f.items() if on))"
-    run = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, env=os.environ | pinned
+    )
     assert run.returncode == 0, run.stderr
-    assert not set(run.stdout.split()) & set(NUMERIC_ENVIRONMENT["NPY_DISABLE_CPU_FEATURES"].split())
+    assert not set(run.stdout.split()) & set(pinned["NPY_DISABLE_CPU_FEATURES"].split())
 
 
 @pytest.mark.parametrize(
@@ -148,7 +153,7 @@ def test_numpy_has_one_thread_without_make_too(program):
     start = f"import {program}"
     tasks = "import os; print(len(os.listdir('/proc/self/task')) if os.path.isdir('/proc/self/task') else 1)"
     work = "import numpy as np; np.linalg.qr(np.ones((2000, 40)))"
-    bare = {name: value for name, value in os.environ.items() if name not in NUMERIC_ENVIRONMENT}
+    bare = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     run = subprocess.run(
         [sys.executable, "-c", f"{start}; {work}; {tasks}"], capture_output=True, text=True, env=bare, cwd=ROOT
     )

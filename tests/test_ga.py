@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fiplib import ga, kalman
 from fiplib.ga import Chromosome, MedianFilter
 from fiplib.params import Estimation, Params
-from tests.test_kalman import EQUAL, IDENTITY, UNEQUAL, simulated_window
+from tests.test_kalman import EQUAL, IDENTITY, simulated_window
 
 # Fixed here, whatever the defaults are tuned to
 PARAMS = Params(estimation=replace(EQUAL, population=60, generations=20, elite_fraction=0.167, mutation_rate=0.1))
@@ -137,23 +137,6 @@ def test_without_elites_the_best_ever_is_returned() -> None:
     params = COARSE.replace(estimation__elite_fraction=0.0)
     run = ga.estimate(window(), params, np.random.default_rng(0))
     assert run.fitness == kalman.fitness(run.best_lengths, window(), params.estimation).min()
-
-
-def test_kept_gains_change_no_bit_of_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    for estimation in (COARSE.estimation, replace(UNEQUAL, resolution=1e-3)):
-        params = replace(COARSE, estimation=estimation)
-        kept = ga.estimate(window(), params, np.random.default_rng(6))
-        whole = ga.landscape(window(), params)
-        with monkeypatch.context() as patch:
-            patch.setattr(ga, "TABLE_SAMPLES", 0)
-            computed = ga.estimate(window(), params, np.random.default_rng(6))
-            assert np.array_equal(ga.landscape(window(), params).fitness, whole.fitness)
-        assert (kept.length, kept.fitness, kept.standard_deviation) == (
-            computed.length,
-            computed.fitness,
-            computed.standard_deviation,
-        )
-        assert np.array_equal(kept.populations, computed.populations)
 
 
 def test_the_landscape_holds_every_length_and_the_algorithm_finds_its_minimum() -> None:

@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from fiplib import kalman
 from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.kalman import READINGS, Window
-from fiplib.params import Estimation
+from fiplib.kernels.model import discretise
+from fiplib.params import AXES, Estimation
 
 STEP = 0.1
 LENGTHS = np.array([0.2, 0.5, 1.0, 1.4, 2.0])
@@ -140,22 +142,44 @@ def test_fitness_does_not_depend_on_the_batch_to_the_last_bit(name: str, noise: 
     rng = np.random.default_rng(4)
     estimation = replace(noise, fitness=name)
     window = simulated_window(1.0, rng, EQUAL)
-    lengths = rng.uniform(0.2, 2.0, 1203)  # more than one chunk
+    lengths = rng.uniform(0.2, 2.0, 501)
     whole = kalman.fitness(lengths, window, estimation)
-    for size in (1, 2, 3, 7, 64, 501):
+    for size in (1, 2, 3, 7, 64):
         some = rng.permutation(len(lengths))[:size]
         assert np.array_equal(kalman.fitness(lengths[some], window, estimation), whole[some])
-    table = kalman.gains(lengths, len(window.states), window.step, estimation)
-    some = rng.permutation(len(lengths))[:10]
-    assert np.array_equal(kalman.score(table[some], window, estimation), whole[some])
+    assert np.array_equal(kalman.fitness(lengths[::2], window, estimation), whole[::2])
 
 
-def test_fitness_does_not_depend_on_the_size_of_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    window = simulated_window(1.0, np.random.default_rng(5), EQUAL)
-    lengths = np.linspace(0.2, 2.0, 50)
-    whole = kalman.fitness(lengths, window, EQUAL)
-    monkeypatch.setattr(kalman, "CHUNK_SAMPLES", 7 * len(window.states))
-    assert np.array_equal(kalman.fitness(lengths, window, EQUAL), whole)
+def textbook_fitness(length: float, window: Window, estimation: Estimation) -> float:
+    """Eq. (26) and its variants, summed over the textbook's filter."""
+    run = kalman.filter_window(length, window, estimation)
+    match READINGS[estimation.fitness].score:
+        case "posterior":
+            return np.sum((window.states[1:] - run.posteriors) ** 2)
+        case "prior":
+            return np.sum(run.innovations**2)
+        case "likelihood":
+            return run.nis.sum() + np.linalg.slogdet(run.covariances)[1].sum()
+
+
+DECADES = st.lists(st.floats(-7.0, -1.0), min_size=10, max_size=10)
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(sorted(READINGS)), st.floats(0.2, 2.0), DECADES, DECADES, st.integers(0, 99), st.booleans())
+def test_the_compiled_filter_is_the_textbook_filter(name, length, process, measured, seed, alike) -> None:
+    if alike:  # the same noise on both axes, which then share their covariances
+        pairs = [0, 1, 0, 1, 4, 5, 4, 5, 8, 8]
+        process, measured = np.array(process)[pairs], np.array(measured)[pairs]
+    estimation = Estimation(
+        fitness=name,
+        process_noise=tuple(10.0 ** np.array(process)),
+        measurement_noise=tuple(10.0 ** np.array(measured)),
+    )
+    window = simulated_window(0.7, np.random.default_rng(seed), EQUAL, samples=20)
+    # The two invert S, whose condition reaches 1e6 here, in different ways
+    expected = textbook_fitness(length, window, estimation)
+    np.testing.assert_allclose(kalman.fitness([length], window, estimation), [expected], rtol=1e-8, atol=1e-8)
 
 
 def test_squared_innovations_are_chi_squared_at_the_true_length() -> None:
@@ -247,12 +271,21 @@ def test_bad_lengths_noise_and_readings_are_refused(lengths: list, changes: dict
         kalman.fitness(lengths, window, replace(EQUAL, **changes))
 
 
-def test_casadi_and_numpy_discretise_alike() -> None:
-    # The gains' own F and B, per axis, against derivatives of the Runge-Kutta map itself
-    f = rk4(prediction_model(), STEP)
+def test_the_compiled_loops_discretise_as_casadi_does() -> None:
+    f, b = np.empty((5, 5)), np.empty(5)
+    rows = np.array(AXES[0].states)
     for length in LENGTHS:
-        gain = kalman.gains(np.array([length]), 2, STEP, EQUAL)
-        x, u = ca.DM([0.1, 0.2, 0, 0, 0.03, -0.1, 0, 0, 0, 0.05]), ca.DM([0, 0.3])
-        after = np.array(f(x, u, length)).ravel()[[0, 1, 4, 5, 9]]
-        ours = gain.transition[0] @ np.array([0.1, 0.2, 0.03, -0.1, 0.05]) + gain.input_matrix[0] * 0.3
-        np.testing.assert_allclose(ours, after, rtol=1e-13)  # rounding of a handful of products
+        for order, transition in ((1, "euler"), (4, "rk4")):
+            discretise(length, STEP, order, f, b)
+            model = kalman.linear_model(length, STEP, transition)
+            # rounding of a handful of products
+            np.testing.assert_allclose(f, model.transition[np.ix_(rows, rows)], rtol=1e-13, atol=1e-15)
+            np.testing.assert_allclose(b, model.input_matrix[rows, AXES[0].input], rtol=1e-13, atol=1e-15)
+
+
+def test_a_window_of_read_only_arrays_gives_the_same_fitness() -> None:
+    window = simulated_window(1.0, np.random.default_rng(5), EQUAL, samples=12)
+    frozen = Window(np.asfortranarray(window.states), window.inputs, STEP)
+    for array in (frozen.states, frozen.inputs):
+        array.flags.writeable = False
+    assert kalman.fitness([1.0], frozen, EQUAL) == kalman.fitness([1.0], window, EQUAL)

@@ -81,18 +81,16 @@ def independent_solver(params, matrices=None):
     return lambda state, reference, length: tuple(m.full().T for m in function(state, reference.T, length))
 
 
-@pytest.fixture(scope="module")
-def ipopt():
-    return independent_solver(PARAMS)
+IPOPT = independent_solver(PARAMS)
 
 
 @pytest.mark.parametrize("length", [0.2, 0.5, 1.0, 1.4, 2.0])
-def test_the_first_input_is_that_of_an_independent_solver_of_the_written_problem(length, ipopt):
+def test_the_first_input_is_that_of_an_independent_solver_of_the_written_problem(length):
     mpc, visited = MPC(PARAMS), flights(length)
     bounded = []
     for state, reference in visited:
         solution = mpc.solve(state, reference, length)
-        inputs, states = ipopt(state, reference, length)
+        inputs, states = IPOPT(state, reference, length)
         # the project's requirement; most of the largest difference is ipopt's own error
         assert np.abs(solution.input - inputs[0]).max() < 1e-6
         # the rest of the plan is as exact; the states' units are not the input's, hence ten times wider
@@ -234,6 +232,49 @@ def test_a_failed_axis_leaves_the_other_axis_its_optimum():
     bad = MPC(HARD_BOUNDS).solve(state, HOVER)
     assert good.status is Status.OPTIMAL and bad.status is Status.FAILED
     assert bad.input[0] == good.input[0]
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10),
+    st.sampled_from([0.3, 1.0]),
+    st.floats(0.3, 2.0),
+    st.floats(0.0, 9.0),
+    st.sampled_from([0.0, 0.4, 0.8]),
+)
+def test_the_compiled_plan_is_that_of_the_written_problem(direction, size, length, time, radius):
+    state = (
+        size * min(length, 1.0) * np.array(direction) * np.array([0.8, 0.5, 0.8, 0.5, 0.03, 0.12, 0.03, 0.12, 0.1, 0.1])
+    )
+    reference = circle(time, radius)
+    state += reference[0]
+    solution = MPC(PARAMS).solve(state, reference, length)
+    inputs, states = IPOPT(state, reference, length)
+    assert solution.status is not Status.FAILED
+    assert np.abs(solution.input - inputs[0]).max() < 1e-6
+    assert np.abs(solution.states - states).max() < 1e-5
+
+
+def test_read_only_and_strided_arguments_give_the_same_plan():
+    state, reference = random_state(np.random.default_rng(8)), circle(0.0, 0.4)
+    plain = MPC(PARAMS).solve(state, reference)
+    wide = np.zeros((N + 1, 20))
+    wide[:, ::2] = reference
+    state.flags.writeable = wide.flags.writeable = False
+    assert np.array_equal(MPC(PARAMS).solve(state, wide[:, ::2]).states, plain.states)
+    assert np.array_equal(MPC(PARAMS).solve(state, np.asfortranarray(reference)).states, plain.states)
+    assert np.array_equal(MPC(PARAMS).solve(list(state), reference.tolist()).inputs, plain.inputs)
+
+
+def test_the_map_to_the_plan_is_the_plan_where_no_bound_is_active():
+    problem_x = MPC(NO_BOUNDS).prepare(1.0)[0]
+    state = 0.1 * random_state(np.random.default_rng(9))
+    solution, axis = MPC(NO_BOUNDS).solve(state, HOVER, 1.0), list(AXES[0].states)
+    plan = (problem_x.plan[:, :5] @ state[axis]).reshape(N, 6)  # in hover w* = 0
+    # two orders of the same sums
+    assert np.allclose(plan[:, 0], solution.inputs[:, AXES[0].input], atol=1e-12)
+    assert np.allclose(plan[:, 1:], solution.states[1:, axis], atol=1e-12)
+    assert problem_x.rows.size == 0 and MPC(PARAMS).prepare(1.0)[0].rows.size == 6 * N
 
 
 @settings(max_examples=60, deadline=None)

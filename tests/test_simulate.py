@@ -1,8 +1,13 @@
 """The simulated vehicle: its plant, its inner loop, its sensors, its flights."""
 
 import dataclasses
+import hashlib
 import math
+import os
+import subprocess
+import sys
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -219,3 +224,42 @@ def test_the_noise_levels_of_the_filter_are_those_measured_in_the_simulator():
         assert (ratio > 0.5).all() and (ratio < 2.0).all(), ratio
     for axis, other in zip(AXES[0].states, AXES[1].states, strict=True):
         assert params.estimation.process_noise[axis] == params.estimation.process_noise[other]
+
+
+FLOWN = """
+import dataclasses, sys
+import numpy as np
+from fiplib.simulate import SCENARIOS, fly
+from tests.test_simulate import digest
+print(digest(fly(dataclasses.replace(SCENARIOS[sys.argv[1]], duration=float(sys.argv[2])))))
+"""
+
+
+def digest(flight: Flight) -> str:
+    """A digest of every number that a flight has recorded."""
+    parts = [flight.vehicle.position, flight.vehicle.orientation, flight.pendulum.position]
+    parts += [getattr(flight, name).values for name in ("state", "command", "reference", "length", "truth_state")]
+    return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
+
+
+# what a user's machine or script may choose; the kernels are named as on x86-64, and elsewhere the names do nothing
+SURROUNDINGS = {
+    "numpy imported first, nothing pinned": {},
+    "kernels of an old CPU": {"OPENBLAS_CORETYPE": "Nehalem", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4"},
+    "kernels of a new CPU, four threads": {"OPENBLAS_CORETYPE": "SkylakeX", "OPENBLAS_NUM_THREADS": "4"},
+}
+
+
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_a_flight_is_the_same_to_the_bit_whatever_numpy_chooses_for_the_cpu(name):
+    pinned = ("OPENBLAS_CORETYPE", "OPENBLAS_NUM_THREADS", "NPY_DISABLE_CPU_FEATURES")
+    environment = {key: value for key, value in os.environ.items() if key not in pinned} | SURROUNDINGS[name]
+    # a bounded tick, a circle, an estimate by the genetic algorithm
+    for scenario, seconds in (("push-hover", 6.0), ("estimate-1.4", 8.0)):
+        run = subprocess.run(
+            [sys.executable, "-c", FLOWN, scenario, str(seconds)],
+            capture_output=True, text=True, env=environment, cwd=Path(__file__).parents[1],
+        )  # fmt: skip
+        assert run.returncode == 0, run.stderr
+        here = fly(dataclasses.replace(SCENARIOS[scenario], duration=seconds))
+        assert run.stdout.strip() == digest(here)

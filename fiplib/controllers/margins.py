@@ -39,11 +39,9 @@ SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
 class Margins:
     """Margins of a stable loop at its input; 1, 1, 0, 0 where it is unstable.
 
-    Attributes:
-        gain_low, gain_high: factors between which the loop gain may lie; below 1 and above 1.
-        delay: additional delay in s.
-        disk: balanced disk margin alpha: gain and phase may vary together within a disk, from (2 - alpha)/(2 + alpha)
-            to its inverse in gain alone.
+    ``gain_low`` and ``gain_high`` are the factors, below and above 1, between which the loop gain may lie; ``delay`` is
+    additional delay in s, ``disk`` the balanced disk margin alpha: gain and phase may vary together within a disk, from
+    (2 - alpha)/(2 + alpha) to its inverse in gain alone.
     """
 
     gain_low: float
@@ -60,11 +58,9 @@ class LinearLoop:
     """One axis from control tick to control tick: plant (6), the observer's last positions (2) and velocities (2),
     and the commands under way.
 
-    Attributes:
-        open_loop: from the commanded body rate to the controller's answer to it, sign reversed: L(z).
-        step: control period in s.
-        gain: K (5,) of u = -K (s, s', d, d', tilt).
-        sees: what the controller takes for (s, s', d, d', tilt), (5, n) from the loop's n states.
+    ``open_loop`` is L(z), from the commanded body rate to the controller's answer to it, sign reversed; ``step`` the
+    control period in s; ``gain`` K (5,) of u = -K (s, s', d, d', tilt), and ``sees`` (5, n) what the controller takes
+    for these from the loop's n states.
     """
 
     open_loop: control.StateSpace
@@ -93,29 +89,20 @@ class LinearLoop:
         """Frequency of that mode, rad/s; 0 if it does not oscillate."""
         return abs(float(np.angle(self.eigenvalues[0]))) / self.step
 
-    def response(self) -> tuple[NDArray, NDArray]:
-        """Frequencies (n,) in rad/s and L there (n,), complex."""
-        omega = np.geomspace(SLOWEST, 0.999 * math.pi / self.step, FREQUENCIES)
-        return omega, self.open_loop(np.exp(1j * omega * self.step), squeeze=True)
-
     @functools.cached_property
     def margins(self) -> Margins:
         """Margins of the loop broken at the input."""
         if self.spectral_radius >= 1.0:
             return UNSTABLE
-        omega, loop = self.response()
-        gains, phases, _, _, crossings, _ = control.stability_margins(
-            control.frd(loop, omega, smooth=True), returnall=True
-        )
+        omega = np.geomspace(SLOWEST, 0.999 * math.pi / self.step, FREQUENCIES)
+        loop = self.open_loop(np.exp(1j * omega * self.step), squeeze=True)
+        smooth = control.frd(loop, omega, smooth=True)
+        gains, phases, _, _, crossings, _ = control.stability_margins(smooth, returnall=True)
         lag = np.radians(np.mod(phases, 360.0)) / crossings  # further delay turns the response one way only
         # as control.disk_margins, from the response at hand: 2 / |S - T| with S - T = (1 - L) / (1 + L)
         disk = 2.0 * np.abs((1.0 + loop) / (1.0 - loop)).min()
-        return Margins(
-            float(gains[gains < 1.0].max(initial=0.0)),
-            float(gains[gains > 1.0].min(initial=math.inf)),
-            float(lag.min(initial=math.inf)),
-            float(disk),
-        )
+        low, high = gains[gains < 1.0].max(initial=0.0), gains[gains > 1.0].min(initial=math.inf)
+        return Margins(float(low), float(high), float(lag.min(initial=math.inf)), float(disk))
 
     def pendulum_share(self) -> tuple[float, float]:
         """Factors between which the gains of d and d' alone may lie, the others left as they are: (low, high).
@@ -152,16 +139,10 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
 
 
 def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis: int = 0) -> LinearLoop:
-    """The loop of one axis when the MPC uses ``used_length`` m and the rod is ``params.pendulum``.
+    """The loop of one axis, an index into ``params.AXES``, when the MPC uses a length in m and the rod is another.
 
-    Args:
-        used_length: length l of the prediction model in m.
-        params: rod, weights, rates, delays and lags.
-        mpc: of the same weights, to be used again for another length or rod.
-        axis: index into ``params.AXES``; the two differ where their weights do.
-
-    Raises:
-        ValueError: rates that are no whole multiples of each other, or a pendulum that is not measured by position.
+    ``params`` give the rod, weights, rates, delays and lags; ``mpc`` of the same weights serves for many lengths and
+    rods. Raises ValueError: rates are no whole multiples of each other, or the pendulum is not measured by position.
     """
     if params.piloting.pendulum_measurement != "position":
         raise ValueError("the linear loop knows the reading pendulum_measurement = 'position' only")
@@ -186,7 +167,7 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
         tick = advance @ tick
     # Between ticks the oldest command has done its work; the new one comes in as the input
     kept = np.delete(np.eye(size), 10, axis=1)
-    gain = -(mpc or MPC(params)).prepare(used_length)[axis].plan[0, :5]  # of u_0 to z_0
+    gain = (mpc or MPC(params)).prepare(used_length)[axis].gains[0]
     sees = (observe @ kept)[[0, 8, 2, 9, 4]]
     open_loop = control.ss((tick @ kept)[:-1], tick[:-1, 10:11], gain[None] @ sees, 0.0, 1.0 / rates[2])
     return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)
@@ -202,18 +183,3 @@ def _observer(piloting: Piloting, size: int) -> NDArray:
         observe[velocity, [position, last, velocity]] = np.array([1.0, -1.0, 0.0]) * share * piloting.mocap_rate
         observe[velocity, velocity] = 1.0 - share
     return observe
-
-
-def stability(
-    used_length: float, true_length: float, gyration_ratio: float, params: Params | None = None, mpc: MPC | None = None
-) -> LinearLoop:
-    """The loop when the MPC uses one length and the rod has another, with k^2/l^2 = ``gyration_ratio``.
-
-    Args:
-        used_length, true_length: in m.
-        gyration_ratio: 0 is a point mass, 1/12 a uniform rod.
-        params: everything else; the defaults if none are given.
-        mpc: as in ``closed_loop``.
-    """
-    changed = {"pendulum__length": true_length, "pendulum__gyration_ratio": gyration_ratio}
-    return closed_loop(used_length, (params or Params()).replace(**changed), mpc)

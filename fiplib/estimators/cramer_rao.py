@@ -15,17 +15,18 @@ Measured are position and attitude of the vehicle and the horizontal position of
 height is left out unless asked for: it would give half the length away at once.
 """
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy  # its parts are imported when they are first used
 from numpy.typing import NDArray
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
+from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 from fiplib.recording import BagError, Flight
 
@@ -52,8 +53,7 @@ class Motion(NamedTuple):
 def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = None) -> Motion:
     """The true trajectory of a simulated flight between two times of exposure, heading along x.
 
-    Raises:
-        BagError: the flight holds no truth or no commands.
+    Raises BagError: the flight holds no truth or no commands.
     """
     if flight.truth_state is None or flight.command is None:
         raise BagError(f"{flight.path}: the bound needs the true states and the commands of a simulated flight")
@@ -75,15 +75,10 @@ def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = Non
     states[:, 10:12], states[:, 13:15] = truth[:, [A, B]] / r, truth[:, [A + 1, B + 1]] / r
     states[:, 12] = np.sqrt(1 - np.sum(states[:, 10:12] ** 2, axis=1))
     states[:, 15] = -np.sum(states[:, 10:12] * states[:, 13:15], axis=1) / states[:, 12]
-    for state, given, lag in (
-        (PLANT["body_rate"], slice(0, 3), params.simulation.rate_lag),
-        (PLANT["thrust"], slice(3, 4), params.simulation.thrust_lag),
-    ):
-        decay, source = np.exp(-period / max(lag, 1e-6)), commands[:, given]
-        states[0, state] = source[0]
-        states[1:, state] = scipy.signal.lfilter([1 - decay], [1, -decay], source[:-1], axis=0, zi=decay * source[:1])[
-            0
-        ]
+    states[0, 16:] = commands[0]
+    for given, lag in ((slice(0, 3), params.simulation.rate_lag), (slice(3, 4), params.simulation.thrust_lag)):
+        decay, source = math.exp(-period / max(lag, 1e-6)), commands[:-1, given].T
+        states[1:, 16:][:, given] = first_order(source, 1 - decay, decay, start=decay * source[:, 0]).T
     chosen = (stamps >= (start_ns or stamps[0])) & (stamps <= (end_ns or stamps[-1]))
     return Motion(states[chosen], commands[chosen], period)
 
@@ -93,17 +88,10 @@ def cramer_rao(
 ) -> NDArray:
     """Smallest standard deviation in m that an unbiased estimate of the length can have, after each frame.
 
-    Args:
-        motion: the true trajectory.
-        params: the true parameters, the length among them, and the noise of motion capture.
-        nuisances: names out of ``likelihood.NUISANCES`` that are unknown too.
-        pendulum_height: whether the height of the pendulum's centre of mass is measured too.
-
-    Returns:
-        (n,): element k is the bound for the window of frames 0 to k; infinite as long as they do not fix the length.
-
-    Raises:
-        ValueError: an unknown nuisance, or no noise (the bound would be zero).
+    Element k (n,) is the bound for the window of frames 0 to k; infinite as long as they do not fix the length.
+    ``params`` are the true ones, the length among them, and the noise of motion capture; ``nuisances``, names out of
+    ``likelihood.NUISANCES``, are unknown too; with ``pendulum_height`` that of the pendulum's centre of mass is
+    measured too. Raises ValueError: an unknown nuisance, or no noise (the bound would be zero).
     """
     if unknown := set(nuisances) - set(NUISANCES):
         raise ValueError(f"unknown nuisance {', '.join(sorted(unknown))}; there are {', '.join(NUISANCES)}")
@@ -171,11 +159,9 @@ def _sensitivities(motion: Motion, params: Params, names: tuple[str, ...]) -> tu
     transition = flat.reshape(20, -1, 20).swapaxes(0, 1)
     shift = np.empty((len(transition), 20, len(names)))
     for column, name in enumerate(names):
-        ends = []
-        for change in (1e-4, -1e-4):
-            step, _ = _step(_changed(params, name, change), motion.period)
-            ends.append(np.array(step.map(states.shape[1])(states, commands, force)))
-        shift[..., column] = (ends[0] - ends[1]).T / 2e-4
+        steps = (_step(_changed(params, name, change), motion.period)[0] for change in (1e-4, -1e-4))
+        more, less = (np.array(step.map(states.shape[1])(states, commands, force)) for step in steps)
+        shift[..., column] = (more - less).T / 2e-4
     return transition, shift
 
 
@@ -189,13 +175,12 @@ def _step(params: Params, period: float) -> tuple[ca.Function, ca.Function]:
 
 def _changed(params: Params, name: str, change: float) -> Params:
     """The parameters with one of them a little larger (past what ``Params.replace`` would let a user ask for)."""
+    pendulum, simulation = params.pendulum, params.simulation
     if name == "rate_lag":
-        return replace(params, simulation=replace(params.simulation, rate_lag=params.simulation.rate_lag + change))
-    pendulum = params.pendulum
-    if name == "length":
-        return replace(params, pendulum=replace(pendulum, length=pendulum.length + change))
+        return replace(params, simulation=replace(simulation, rate_lag=simulation.rate_lag + change))
     ratio = 0.25 / (pendulum.inertia_factor + change) - 0.25
-    return replace(params, pendulum=replace(pendulum, gyration_ratio=ratio))
+    changed = {"length": pendulum.length + change} if name == "length" else {"gyration_ratio": ratio}
+    return replace(params, pendulum=replace(pendulum, **changed))
 
 
 def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray:
@@ -203,8 +188,7 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     position, attitude = params.simulation.position_noise, params.simulation.attitude_noise
     axes = 3 if pendulum_height else 2
     rows = np.zeros((len(states), 6 + axes, 21 + OFFSETS))
-    for axis in range(3):
-        rows[:, axis, axis] = 1 / position
+    rows[:, range(3), range(3)] = 1 / position
     for axis in range(axes):
         rows[:, 3 + axis, axis] = 1 / position
         rows[:, 3 + axis, 10 + axis] = params.pendulum.length / 2 / position
@@ -213,7 +197,6 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     # rotation vector of q^-1 dq, twice its vector part
     turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
     rows[:, 3 + axes : 6 + axes, PLANT["attitude"]] = turn.transpose(2, 0, 1)
-    for axis in range(2):
-        rows[:, 3 + axis, 21 + axis] = 1 / position
-        rows[:, 3 + axes + axis, 23 + axis] = 1 / attitude
+    rows[:, [3, 4], [21, 22]] = 1 / position
+    rows[:, [3 + axes, 4 + axes], [23, 24]] = 1 / attitude
     return rows

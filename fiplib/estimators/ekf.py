@@ -25,7 +25,7 @@ def ekf(window: Window, params: Params, rng: np.random.Generator | None = None) 
         estimator.P = estimator.F @ estimator.P @ estimator.F.T + estimator.Q
         estimator.x = np.array(step(estimator.x, applied)).ravel()
         estimator.update(state, lambda x: np.eye(10, 11), lambda x: x[:10])
-        estimator.x[10] = within(estimator.x[10], params)
+        estimator.x[10] = np.clip(estimator.x[10], params.estimation.length_min, params.estimation.length_max)
     return Estimate(float(estimator.x[10]), math.sqrt(estimator.P[10, 10]))
 
 
@@ -39,15 +39,9 @@ def augmented(step: float) -> tuple[ca.Function, ca.Function, ca.Function]:
 
 
 def prepare(estimator: Any, window: Window, params: Params) -> None:
-    """Set noise, first state and covariance of a joint filter; as in ``kalman``, the first measurement is a
-    posterior."""
+    """Set noise, first state and covariance of a joint filter; the first one is a posterior, as in ``kalman``."""
     estimation = params.estimation
     estimator.x = np.append(window.states[0], PRIOR[0])
     estimator.P = np.diag([*estimation.measurement_noise, PRIOR[1] ** 2])
     estimator.Q = np.diag([*estimation.process_noise, 0.0])
     estimator.R = np.diag(estimation.measurement_noise)
-
-
-def within(length: float, params: Params) -> float:
-    """The length in m, moved into the interval of lengths."""
-    return min(max(float(length), params.estimation.length_min), params.estimation.length_max)

@@ -6,27 +6,13 @@ Hence the trusted hand-over starts from the shortest rod to expect, and follows 
 """
 
 import math
-from typing import Protocol
 
 from fiplib.ga import MedianFilter
 from fiplib.params import Params
 
 
-class HandOver(Protocol):
-    """A policy: ``used`` is the length in use in m, ``update`` takes an estimate and gives the new one."""
-
-    used: float
-
-    def update(self, length: float, deviation: float = math.nan) -> float: ...
-
-
 class PrintedHandOver:
-    """The paper's: the median of the last runs is taken over at once, or in steps of at most ``length_step``.
-
-    Args:
-        params: l0, bounds, length of the filter, step.
-        overlap: not used.
-    """
+    """The paper's: the median of the last runs is taken over at once, or in steps of at most ``length_step``."""
 
     def __init__(self, params: Params, overlap: float = 1.0) -> None:
         self.used = params.piloting.initial_length
@@ -84,15 +70,10 @@ class TrustedHandOver:
         return 1 / self._mean, math.sqrt(self._variance) / self._mean**2
 
     def update(self, length: float, deviation: float = math.nan) -> float:
-        """Take an estimate.
+        """Take an estimate and its standard deviation in m; the length to use.
 
-        Args:
-            length: in m. Ignored if not finite, or not within (l_min, l_max): the end of a search is no estimate.
-            deviation: its standard deviation in m; nan counts as ``default_deviation``. The estimate is ignored if
-                this is infinite, zero or negative.
-
-        Returns:
-            The length to use, m.
+        It is ignored if not finite, or not within (l_min, l_max): the end of a search is no estimate; also if its
+        deviation is infinite, zero or negative. A deviation of nan counts as ``default_deviation``.
         """
         piloting, estimation = self._piloting, self._estimation
         deviation = piloting.default_deviation if math.isnan(deviation) else deviation
@@ -113,8 +94,6 @@ class TrustedHandOver:
         return self.used
 
 
-HANDOVERS: dict[str, type[PrintedHandOver] | type[TrustedHandOver]] = {
-    "printed": PrintedHandOver,
-    "trusted": TrustedHandOver,
-}
-"""Policies by their name in ``piloting.handover``; each takes (params, overlap) and is a ``HandOver``."""
+HANDOVERS = {"printed": PrintedHandOver, "trusted": TrustedHandOver}
+"""Policies by their name in ``piloting.handover``; each is made of (params, overlap), has ``used``, the length in use
+in m, and ``update``, which takes an estimate and gives the new one."""

@@ -42,6 +42,7 @@ import scipy  # its parts are imported when they are first used: they take a sec
 from numpy.typing import ArrayLike, NDArray
 
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.signals import first_order, local_parabola
 from fiplib.estimators.windows import LEAD, RawWindow
 from fiplib.params import GRAVITY, Params
 
@@ -86,18 +87,10 @@ def maximum_likelihood(
 ) -> Estimate:
     """The length that explains a raw window best, and how sure that is.
 
-    Args:
-        window: the data.
-        params: the known vehicle (masses, delay, lags, full thrust), the rod's mass and gyration ratio, the noise of
-            motion capture, and the interval of lengths. The rod's length is not read.
-        rng: not used; every estimator takes one.
-        nuisances: names out of ``NUISANCES`` to be fitted too, instead of taken from ``params``, or for exact.
-
-    Returns:
-        Length and standard deviation, from the curvature of the profile likelihood; or a reason for refusing.
-
-    Raises:
-        ValueError: an unknown nuisance, or a window with fewer than 16 frames.
+    ``params`` give the known vehicle (masses, delay, lags, full thrust), the rod's mass and gyration ratio, the noise
+    of motion capture, and the interval of lengths; the rod's length is not read. ``nuisances``, names out of
+    ``NUISANCES``, are fitted too, instead of taken from ``params``, or for exact. The standard deviation comes from the
+    curvature of the profile likelihood. Raises ValueError: an unknown nuisance, or fewer than 16 frames.
     """
     if unknown := set(nuisances) - set(NUISANCES):
         raise ValueError(f"unknown nuisance {', '.join(sorted(unknown))}; there are {', '.join(NUISANCES)}")
@@ -171,10 +164,8 @@ def _fit(
 class WindowModel:
     """All of a raw window that does not depend on the length, ready for ``residuals``.
 
-    Args:
-        window: the data.
-        params: the known vehicle and the noise of motion capture.
-        calibrated: markers and body frame sit exactly where they are said to.
+    ``params`` give the known vehicle and the noise of motion capture; ``calibrated`` says that markers and body frame
+    sit exactly where they are said to.
 
     Attributes:
         measured, unknowns: how many numbers were measured, and how many linear unknowns there are beside ``wander``'s.
@@ -201,7 +192,7 @@ class WindowModel:
         lean = (window.pendulum - window.vehicle)[:, :2]
 
         def smooth(values: NDArray, derivative: int = 0) -> NDArray:
-            smoothed = scipy.signal.savgol_filter(values, span, 2, deriv=derivative, delta=period, axis=0).T
+            smoothed = local_parabola(values, span, period, derivative).T
             return np.array([np.interp(self._time, window.time - window.time[0], row) for row in smoothed])
 
         self._lean, self._lean_rate = smooth(lean), smooth(lean, 1)
@@ -263,7 +254,12 @@ class WindowModel:
         if self._lag != rate_lag:
             self._lag = rate_lag
             self._force(rate_lag)
-        return np.concatenate([self._axis(axis, length, inertia_factor) for axis in (0, 1)])
+        left = []
+        for axis in (0, 1):
+            design, error = self._system(axis, length, inertia_factor)
+            basis, _ = np.linalg.qr(design)
+            left.append(error - basis @ (basis.T @ error))
+        return np.concatenate(left)
 
     def _weighed(self) -> float:
         """Real over stated thrust, from how the vehicle rises and sinks.
@@ -287,7 +283,7 @@ class WindowModel:
         integral = integral[held] + command[held] * (edges - acts[held])
         mean = np.diff(integral) / self._step
         decay = math.exp(-self._step / max(lag, 1e-6))
-        value, _ = scipy.signal.lfilter([1 - decay], [1, -decay], mean, zi=[decay * mean[0]])
+        value = first_order(mean, 1 - decay, decay, start=decay * mean[0])
         value = np.concatenate([[mean[0]], value])
         # lag * v' = command - v, integrated over a step
         mean = mean - lag * np.diff(value) / self._step
@@ -324,14 +320,11 @@ class WindowModel:
         self._forces = [np.array([self._u[axis], *(slopes[axis] * basis)]) for axis in (0, 1)]
         self._travel = [self._sample(_twice_integrated(force, step)) for force in self._forces]
 
-    def _axis(self, axis: int, length: float, inertia_factor: float) -> NDArray:
-        """Whitened residuals of one axis: vehicle, pendulum, tilt, steps; 0 is x with pitch, 1 is y with roll."""
-        design, error = self._system(axis, length, inertia_factor)
-        basis, _ = np.linalg.qr(design)
-        return error - basis @ (basis.T @ error)
-
     def _system(self, axis: int, length: float, inertia_factor: float) -> tuple[NDArray, NDArray]:
-        """What is linear in the unknowns of one axis: their whitened columns, and the errors without them."""
+        """What is linear in the unknowns of one axis: their whitened columns, and the errors without them.
+
+        Rows are vehicle, pendulum, tilt, steps; axis 0 is x with pitch, 1 is y with roll.
+        """
         r, window, step = length / 2, self._window, self._step
         stiff = inertia_factor / (1 - self._share * inertia_factor)  # lambda kappa
         w = math.sqrt(stiff * GRAVITY / r)
@@ -381,7 +374,7 @@ def _unstable(source: ArrayLike, w: float, step: float) -> NDArray:
     z = w * step
     decay = math.exp(-z)
     last = (z - 1 + decay) / (w * z)
-    weights = [last, (1 - decay) / w - last]
-    forwards = scipy.signal.lfilter(weights, [1, -decay], source, axis=-1)
-    backwards = scipy.signal.lfilter(weights, [1, -decay], np.flip(source, axis=-1), axis=-1)
+    before = (1 - decay) / w - last
+    forwards = first_order(source, last, decay, before)
+    backwards = first_order(np.flip(source, axis=-1), last, decay, before)
     return -(forwards + np.flip(backwards, axis=-1)) / (2 * w)

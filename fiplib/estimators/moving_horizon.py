@@ -16,10 +16,7 @@ def moving_horizon(window: Window, params: Params, rng: np.random.Generator | No
     """Moving-horizon estimation (CasADi, IPOPT): states of the whole window and length under both noises at once.
 
     min over x_0..x_n, l of sum |y_k - x_k|^2 in R_e^-1 + sum |x_k+1 - F(x_k, u_k, l)|^2 in Q_e^-1; the standard
-    deviation is the length's share of the inverse Hessian at the optimum.
-
-    Raises:
-        ValueError: a variance of the process noise is zero.
+    deviation is the length's share of the inverse Hessian at the optimum. Raises ValueError: no process noise.
     """
     estimation = params.estimation
     if min(estimation.process_noise) <= 0:
@@ -34,9 +31,8 @@ def moving_horizon(window: Window, params: Params, rng: np.random.Generator | No
     if not solver.stats()["success"]:
         return Estimate(math.nan, math.nan, f"IPOPT gave up: {solver.stats()['return_status']}")
     best = solution["x"]
-    unit = np.zeros(window.states.size + 1)
-    unit[-1] = 1.0
-    variance = float(ca.solve(hessian(best, data), ca.DM(unit), "csparse")[-1])
+    unit = ca.DM(np.eye(window.states.size + 1)[-1])
+    variance = float(ca.solve(hessian(best, data), unit, "csparse")[-1])
     return Estimate(float(best[-1]), math.sqrt(variance) if variance > 0 else math.nan)
 
 

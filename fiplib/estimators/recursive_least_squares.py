@@ -25,8 +25,7 @@ def recursive_least_squares(window: Window, params: Params, rng: np.random.Gener
     for row, value in zip(regressor, response, strict=True):
         estimator.predict()
         estimator.update(value, H=np.array([[row]]))
-    inverse = float(estimator.x[0, 0])
-    return inverted(inverse, math.sqrt(estimator.P[0, 0]), params)
+    return inverted(float(estimator.x[0, 0]), math.sqrt(estimator.P[0, 0]), params)
 
 
 def regression(window: Window) -> tuple[NDArray, NDArray]:

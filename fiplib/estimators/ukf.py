@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fiplib.estimators.base import Estimate
-from fiplib.estimators.ekf import augmented, prepare, within
+from fiplib.estimators.ekf import augmented, prepare
 from fiplib.kalman import Window
 from fiplib.params import Params
 
@@ -25,6 +25,6 @@ def ukf(window: Window, params: Params, rng: np.random.Generator | None = None) 
         moved = iter(np.array(spread(sigmas.T, np.repeat(applied[:, None], len(sigmas), axis=1))).T)
         estimator.predict(fx=lambda x, dt, moved=moved: next(moved))  # all points in one call of CasADi
         estimator.update(state)
-        estimator.x[10] = within(estimator.x[10], params)
+        estimator.x[10] = np.clip(estimator.x[10], params.estimation.length_min, params.estimation.length_max)
         estimator.P = (estimator.P + estimator.P.T) / 2
     return Estimate(float(estimator.x[10]), math.sqrt(max(estimator.P[10, 10], 0.0)))

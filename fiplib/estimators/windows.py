@@ -56,9 +56,8 @@ class RawSampler:
         if self._frames and stamp <= self._frames[-1][0]:
             return
         attitude = euler_angles(measurement.vehicle_attitude)
-        self._frames.append(
-            (stamp, np.concatenate([measurement.vehicle_position, measurement.pendulum_position, attitude]))
-        )
+        row = np.concatenate([measurement.vehicle_position, measurement.pendulum_position, attitude])
+        self._frames.append((stamp, row))
         while stamp - self._frames[0][0] > self._span:
             self._frames.popleft()
 
@@ -72,8 +71,7 @@ class RawSampler:
     def window(self, least: float = math.inf) -> RawWindow | None:
         """The window, once frames of the whole span and a command before them (by ``LEAD``) have been seen.
 
-        Args:
-            least: while the span fills, a window of that many seconds will do.
+        While the span fills, a window of ``least`` seconds will do.
         """
         if not self._commands or len(self._frames) < 2:
             return None
@@ -176,5 +174,5 @@ class RawSchedule(RawSampler):
         return window
 
 
-SAMPLERS: dict[str, type[WindowSampler] | type[RawSchedule]] = {"states": WindowSampler, "raw": RawSchedule}
+SAMPLERS = {"states": WindowSampler, "raw": RawSchedule}
 """What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

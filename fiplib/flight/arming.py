@@ -16,8 +16,6 @@ class ArmChecks:
     """Checks every good frame before the flight; the vehicle may be armed once all have passed for ``arm_time``.
 
     Args:
-        params: ``estimation`` and ``piloting``.
-        limits: ``safety``.
         start: where the trajectory starts, (x, y) in m.
 
     Attributes:
@@ -58,10 +56,6 @@ class ArmChecks:
     def failed(self, reason: str) -> None:
         """Begin anew, for a reason."""
         self.waiting, self._steady_since = reason, None
-
-    def refused(self, reason: str) -> None:
-        """Take note of a frame that was not good."""
-        self.waiting = reason
 
     def _failure(self, good: Measurement, lean: float, tilt: float, speed: float) -> str | None:
         safety, estimation = self._safety, self._params.estimation

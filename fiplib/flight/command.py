@@ -18,12 +18,11 @@ from tqdm import tqdm
 from fiplib import bags, simulate
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits, changed
-from fiplib.flight.links import Link, available
+from fiplib.flight.links import available
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.session import NewBag, Session
 from fiplib.params import assignment
 from fiplib.pilot import Pilot
-from fiplib.recording import Flight
 from fiplib.simulate import Scenario
 
 
@@ -35,18 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="BAG", help="folder of the bag to write (default: the scenario's name)")
     parser.add_argument("--force", action="store_true", help="replace BAG if it is a bag already")
     parser.add_argument("--seed", type=int, help="seed of noise and estimator (default: the scenario's)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="GROUP.NAME=VALUE",
-        help="change a parameter of fiplib/params.py or fiplib/flight/limits.py, e.g. pendulum.length=0.8; may be "
-        "repeated",
-    )
+    change = "change a parameter of fiplib/params.py or flight/limits.py, e.g. pendulum.length=0.8; may be repeated"
+    parser.add_argument("--set", action="append", default=[], metavar="GROUP.NAME=VALUE", help=change)
     parser.add_argument("--duration", type=float, metavar="S", help="seconds to fly (default: the scenario's)")
-    parser.add_argument(
-        "--arm", action="store_true", help="arm a real vehicle once the checks pass, without waiting for Enter"
-    )
+    parser.add_argument("--arm", action="store_true", help="arm a real vehicle without waiting for Enter")
     links = available()
     parser.add_argument("--link", choices=links, default="sim", help="how to reach the vehicle (default: %(default)s)")
     for name, link in links.items():
@@ -60,10 +51,8 @@ def run(options: argparse.Namespace) -> int:
     scenario, limits = chosen(options)
     output = Path(options.output or scenario.name)
     if not behind_failsafe(options, limits):
-        fly_simulated(scenario, output, options.force)
-        return 0
-    link = chosen_link(options, scenario, limits)
-    session = Session(scenario, limits, link, output, in_real_time(options), asks(options, link), options.force)
+        return fly_simulated(scenario, output, options.force)
+    session = session_of(options, scenario, limits, output)
     return fly(session, Guard(Pilot(scenario.params, scenario.reference), limits))
 
 
@@ -76,11 +65,7 @@ def list_scenarios() -> int:
 
 
 def chosen(options: argparse.Namespace) -> tuple[Scenario, Limits]:
-    """Return the scenario and the limits that the options ask for.
-
-    Raises:
-        ValueError: an unknown scenario or parameter, or a value that cannot be read.
-    """
+    """Return the scenario and the limits that the options ask for. Raises ValueError for options that make no sense."""
     if options.duration is not None and not 0.0 < options.duration < math.inf:
         raise ValueError(f"--duration {options.duration:g}: give seconds > 0")
     if options.scenario not in simulate.SCENARIOS:
@@ -101,27 +86,18 @@ def behind_failsafe(options: argparse.Namespace, limits: Limits) -> bool:
     return False
 
 
-def in_real_time(options: argparse.Namespace) -> bool:
-    """Return whether the flight runs against the wall clock."""
-    return options.link != "sim" or options.real_time
-
-
-def chosen_link(options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
-    """Return the link that the options ask for, not yet open. Raises ValueError, LinkError."""
-    return available()[options.link].from_options(options, scenario, limits)
-
-
-def asks(options: argparse.Namespace, link: Link) -> bool:
-    """Return whether the operator must press Enter to arm. Raises ValueError where there is no terminal for it."""
+def session_of(options: argparse.Namespace, scenario: Scenario, limits: Limits, output: Path) -> Session:
+    """Return the surroundings of the flight that the options ask for, not yet entered. Raises ValueError, LinkError."""
+    link = available()[options.link].from_options(options, scenario, limits)
     # on the bench the vehicle is simulated, but a radio may reach motors
     ask = (link.origin == "real" or options.link == "crsf") and not options.arm
     if ask and not sys.stdin.isatty():
         raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
-    return ask
+    return Session(scenario, limits, link, output, options.link != "sim" or options.real_time, ask, options.force)
 
 
-def fly_simulated(scenario: Scenario, output: Path, force: bool = False) -> Flight:
-    """Fly in the simulator, without failsafe, and record. Raises BagError."""
+def fly_simulated(scenario: Scenario, output: Path, force: bool) -> int:
+    """Fly in the simulator, without failsafe, and record; returns the exit status 0. Raises BagError."""
     started = time.perf_counter()
     with (
         NewBag(output, force) as bag,
@@ -132,22 +108,18 @@ def fly_simulated(scenario: Scenario, output: Path, force: bool = False) -> Flig
         flight = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
     seconds, end = time.perf_counter() - started, "still balanced" if flight.survived else "FELL"
     print(f"simulated {flight.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
-    return flight
+    return 0
 
 
 def fly(session: Session, guard: Guard, observer: Callable[[FlightLoop, Session], None] | None = None) -> int:
     """Fly behind the failsafe and record.
 
     Args:
-        session: not yet entered.
-        guard: the failsafe with its pilot.
+        session: not yet entered; its errors are raised.
         observer: called after each step of the loop.
 
     Returns:
         The exit status: 0, or 130 after an operator's abort.
-
-    Raises:
-        BagError, LinkError: as ``Session``.
     """
     started = ended = 0.0
     try:

@@ -64,12 +64,8 @@ class Encoder:
     ``radio.arm_time``, as Betaflight does not arm while the throttle is up; then rates and thrust. A setpoint that is
     armed from the very first is encoded as it is: a port was opened again in flight.
 
-    Args:
-        params: ``vehicle``, for the bounds.
-        limits: ``radio``, and ``safety`` for the bounds.
-
     Raises:
-        ValueError: ``radio`` makes no sense.
+        ValueError: ``limits.radio`` makes no sense.
     """
 
     def __init__(self, params: Params, limits: Limits) -> None:
@@ -140,11 +136,9 @@ def betaflight_settings(vehicle: Vehicle, radio: Radio) -> list[str]:
     tens = round(degrees / 10.0)
     if abs(degrees - 10.0 * tens) > 1e-6 or not 1 <= tens <= 200:
         raise ValueError(f"vehicle.max_body_rate is {degrees:g} deg/s: Betaflight takes 10, 20, ... 2000 deg/s")
-    rates = [
-        line
-        for axis in ("roll", "pitch", "yaw")
-        for line in (f"set {axis}_rc_rate = {tens}", f"set {axis}_srate = {tens}", f"set {axis}_expo = 0")
-    ]
+    rates = []
+    for axis in ("roll", "pitch", "yaw"):
+        rates += [f"set {axis}_rc_rate = {tens}", f"set {axis}_srate = {tens}", f"set {axis}_expo = 0"]
     return [
         "set serialrx_provider = CRSF",
         "set serialrx_inverted = OFF",

@@ -2,7 +2,6 @@
 
 import importlib
 import math
-import multiprocessing
 import os
 import threading
 import time
@@ -10,7 +9,6 @@ from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -18,38 +16,29 @@ import numpy as np
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.flight.limits import Limits
-from fiplib.flight.sender import START_TIME, ignore_the_terminal
+from fiplib.flight.sender import SPAWN, START_TIME, ignore_the_terminal
 from fiplib.kalman import Window
 from fiplib.params import Params
 from fiplib.pilot import estimator_of
 
 
 class EstimatorProcess:
-    """Runs ``estimators.ESTIMATORS[params.estimation.estimator]`` in a process; a context manager.
+    """A ``simulate.ParallelEstimator`` that runs the flight's estimator in a process; a context manager.
 
     One window at a time; those that come meanwhile are left out. A process that dies, or works on a window for longer
     than ``safety.estimator_timeout``, is replaced, ``safety.estimator_restarts`` times at most.
 
     Args:
-        params: those of the flight.
         seed: seeds the estimator's generator, together with the number of the run: as in ``simulate.fly``.
-        limits: ``safety``.
-
-    Attributes:
-        remarks: (level, text) of what went wrong; to be emptied by the reader.
-        seconds: how long the last run took, s; nan before the first.
     """
 
     def __init__(self, params: Params, seed: int, limits: Limits) -> None:
         estimator_of(params)  # an unknown name is refused here, and not in another process
-        self._params, self._seed, self._safety, self._runs = params, seed, limits.safety, 0
-        self._starts = 0
+        self._params, self._seed, self._safety = params, seed, limits.safety
+        self._runs = self._starts = 0
         self._process: BaseProcess | None = None
         self._connection: Connection | None = None
         self._starting: threading.Thread | None = None
-        self._ready = False
-        self._since = 0.0
-        self._busy = False
         self.remarks: deque[tuple[str, str]] = deque()
         self.seconds = math.nan
 
@@ -62,9 +51,7 @@ class EstimatorProcess:
         self._start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._starting is not None:
             self._starting.join()
         self._end()
@@ -80,11 +67,10 @@ class EstimatorProcess:
         answer = None
         try:
             if self._connection.poll():
-                message = self._connection.recv()
-                if not self._ready:
-                    self._ready = True
-                else:
-                    answer, self._busy, self.seconds = message, False, time.monotonic() - self._since
+                answer = self._connection.recv()
+                if self._ready:
+                    self._busy, self.seconds = False, time.monotonic() - self._since
+                self._ready = True
             elif not self._process.is_alive():
                 self._replace()
                 return None
@@ -122,11 +108,9 @@ class EstimatorProcess:
         self._start()
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        process = context.Process(
-            target=_estimate, args=(self._params, self._seed, theirs), name="fip-estimator", daemon=True
-        )
+        self._connection, theirs = SPAWN.Pipe()
+        task = (self._params, self._seed, theirs)
+        process = SPAWN.Process(target=_estimate, args=task, name="fip-estimator", daemon=True)
         self._ready = self._busy = False
         self._since = time.monotonic()
         self._starts += 1
@@ -149,10 +133,11 @@ def _estimate(params: Params, seed: int, connection: Connection) -> None:
     with suppress(OSError, AttributeError):
         os.nice(10)  # the controller comes first
     function = estimator_of(params).function
-    for part in ("scipy.optimize", "scipy.signal"):  # estimators import them when first used: a second, not in flight
+    # estimators import these when first used: a second, not in flight
+    for part in ("scipy.optimize", "fiplib.kernels.filtering", "fiplib.kernels.recursion"):
         importlib.import_module(part)
     with suppress(EOFError, OSError):
-        connection.send("ready")
+        connection.send(None)
         while True:
             run, window = connection.recv()
             try:

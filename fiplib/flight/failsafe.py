@@ -1,8 +1,8 @@
 """The failsafe around the pilot: an explicit state machine without clock, I/O or threads.
 
 ``Guard`` judges every frame before the pilot sees it, supervises what the pilot answers, and chooses what to send.
-Setpoints are finite and within bounds whatever comes in. The state machine is the table ``transitions.TRANSITIONS``;
-every transition is kept with its reason, for the bag. Simulated only: none of this has flown on a vehicle.
+Setpoints are finite and within bounds whatever comes in. The state machine is the table ``transitions.TRANSITIONS``.
+Simulated only: none of this has flown on a vehicle.
 """
 
 import math
@@ -39,8 +39,8 @@ class Guard:
         limits: of poses, rod, vehicle and solver: ``safety``.
 
     Attributes:
-        pilot: the controller.
         mode: the state.
+        monitor, arming, solver: of the poses, the arm checks and the solves.
         transitions: every change of it so far.
         notes: remarks that changed no mode: doubtful clocks, refused estimates.
         ended: why the flight has ended, ``None`` before.
@@ -58,9 +58,9 @@ class Guard:
         self.accepted: Measurement | None = None
         self.refused: dict[str, int] = {}
         self.tilt = self.lean = math.nan
-        self._monitor = PoseMonitor(self.params, limits)
-        self._arming = ArmChecks(self.params, limits, pilot.reference.at(np.zeros(1))[0, [X, Y]])
-        self._solver = SolverWatch(self.params, limits)
+        self.monitor = PoseMonitor(self.params, limits)
+        self.arming = ArmChecks(self.params, limits, pilot.reference.at(np.zeros(1))[0, [X, Y]])
+        self.solver = SolverWatch(self.params, limits)
         self._lengths = LengthGate(self.params, limits)
         self._tilt = TiltPredictor(limits.safety.loop_delay)
         self._tick_ns = round(NANO / self.params.piloting.control_rate)
@@ -83,11 +83,11 @@ class Guard:
         self.accepted = None
         if self.ended is not None:
             return self._between(now)
-        good = self._monitor.take(now, measurement)
-        self.notes += [Event(now, "warn", remark) for remark in self._monitor.remarks]
-        self._monitor.remarks.clear()
+        good = self.monitor.take(now, measurement)
+        self.notes += [Event(now, "warn", remark) for remark in self.monitor.remarks]
+        self.monitor.remarks.clear()
         if good is None:
-            self._refuse(self._monitor.refusal or "")
+            self._refuse(self.monitor.refusal or "")
             return self._between(now)
         self._good += 1
         rod = good.pendulum_position - good.vehicle_position
@@ -102,7 +102,7 @@ class Guard:
         if self.ended is not None:
             return self._between(now)
         # when frames come late and many at once, the newest must be answered: each counts as of when it was due
-        overdue = round(self._monitor.age(now) * NANO)
+        overdue = round(self.monitor.age(now) * NANO)
         try:
             tick = self.pilot.observe(now - overdue if overdue > self._tick_ns else now, good)
         except Exception as error:  # a flight must outlive a bug
@@ -110,7 +110,7 @@ class Guard:
             return self._levelled(now) if self.mode is Mode.LEVEL else self._without_solution(now, None, failure)
         if self._good >= self.limits.safety.recovery_frames and self._fresh(now):
             if self._happens(now, Condition.POSES_BACK, "poses are back"):
-                self._solver.recovered()
+                self.solver.hovering_since = None  # the solver is tried at once
                 self.pilot.forget_window()
         if tick is None:
             return None
@@ -123,7 +123,7 @@ class Guard:
 
     def solve_took(self, now: int, seconds: float) -> None:
         """Take how long the driver waited for the last setpoint that carries a command; judges whether it was late."""
-        late = self._solver.took(seconds)
+        late = self.solver.took(seconds)
         if late and self.mode in (Mode.FLYING, Mode.COASTING):
             now, reason = self._at(now), f"solve took {1e3 * seconds:.0f} ms"
             if late <= self.limits.safety.coast_ticks:
@@ -166,21 +166,6 @@ class Guard:
             self.notes.append(Event(self._now, "error", f"no window ({type(error).__name__}: {error})"))
             return None
 
-    @property
-    def waiting(self) -> str:
-        """The reason why the arm checks have not passed, before the flight."""
-        return self._arming.waiting
-
-    @property
-    def solver_failure(self) -> str | None:
-        """The solver's last failure, ``None`` if it never failed."""
-        return self._solver.failure
-
-    @property
-    def position(self) -> tuple[float, float, float]:
-        """The vehicle's position at the newest good frame, m; nan before the first."""
-        return self._monitor.vehicle_position
-
     # --- the conditions
 
     @property
@@ -188,18 +173,18 @@ class Guard:
         return self.mode not in (Mode.DISARMED, Mode.READY)
 
     def _fresh(self, now: int) -> bool:
-        return self._monitor.age(now) < self.limits.safety.pose_flag
+        return self.monitor.age(now) < self.limits.safety.pose_flag
 
     def _prepared(self, now: int, good: Measurement) -> bool:
         """Apply the arm checks; returns whether this is the first frame of the flight."""
-        speed = float(np.sqrt((self._monitor.velocity**2).sum(1)).max())
-        if not self._arming.passed(now, good, self.lean, self.tilt, speed):
-            self._happens(now, Condition.CHECKS_FAILED, self.waiting)
+        speed = float(np.sqrt((self.monitor.velocity**2).sum(1)).max())
+        if not self.arming.passed(now, good, self.lean, self.tilt, speed):
+            self._happens(now, Condition.CHECKS_FAILED, self.arming.waiting)
             return False
         self._happens(now, Condition.CHECKS_PASSED, "arm checks passed")
         if not self._wanted:
             return False
-        self._monitor.learning = False
+        self.monitor.learning = False
         self._reach = math.dist(good.pendulum_position, good.vehicle_position)
         self._lengths.heard(now + round(self.pilot.window_seconds * NANO))
         return self._happens(now, Condition.ARMED, "armed")
@@ -214,8 +199,7 @@ class Guard:
         rod = good.pendulum_position - good.vehicle_position
         reach = math.sqrt(rod @ rod)
         if self.lean > safety.fallen_lean:
-            reason = f"pendulum fallen: it leans {math.degrees(self.lean):.0f} deg"
-            self._happens(now, Condition.ROD_FALLEN, reason)
+            self._happens(now, Condition.ROD_FALLEN, f"pendulum fallen: it leans {math.degrees(self.lean):.0f} deg")
         elif abs(reach - self._reach) > safety.seat_play:
             reason = f"pendulum off its seat: COM at {reach:.2f} m, not {self._reach:.2f} m"
             self._happens(now, Condition.ROD_OFF_SEAT, reason)
@@ -226,13 +210,13 @@ class Guard:
 
     def _check_ages(self, now: int) -> None:
         """Apply the timeouts: the age of the newest good pose, and the time in a mode."""
-        safety, age = self.limits.safety, self._monitor.age(now)
+        safety, age = self.limits.safety, self.monitor.age(now)
         if self.ended is not None:
             return
         if not self._armed:
             if age >= safety.pose_flag and math.isfinite(age):
-                self._arming.failed(self._aged(age))
-                self._happens(now, Condition.CHECKS_FAILED, self.waiting)
+                self.arming.failed(self._aged(age))
+                self._happens(now, Condition.CHECKS_FAILED, self.arming.waiting)
             return
         if self._lengths.falls_silent(now):
             text = f"estimator silent for {safety.estimate_silence:g} s: {self.pilot.length:.3g} m stays in use"
@@ -247,18 +231,17 @@ class Guard:
             self._good = 0
         elif age >= safety.pose_flag:
             self._happens(now, Condition.POSE_LATE, self._aged(age))
-        elif self._solver.hovered(now) > safety.hover_time:
-            self._happens(now, Condition.NO_SOLVER, f"no solver for {safety.hover_time:g} s ({self.solver_failure})")
+        elif self.solver.hovered(now) > safety.hover_time:
+            self._happens(now, Condition.NO_SOLVER, f"no solver for {safety.hover_time:g} s ({self.solver.failure})")
 
     def _aged(self, age: float) -> str:
-        cause = f" ({self._monitor.refusal})" if self._monitor.refusal else ""
-        return f"pose {1e3 * age:.0f} ms old{cause}"
+        return f"pose {1e3 * age:.0f} ms old" + (f" ({self.monitor.refusal})" if self.monitor.refusal else "")
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] = self.refused.get(reason, 0) + 1
         self._good = 0
         if self.mode is Mode.DISARMED:
-            self._arming.refused(reason)
+            self.arming.waiting = reason
 
     def _happens(self, now: int, condition: Condition, reason: str) -> bool:
         """Make the transition that a condition leads to; returns whether there is one."""
@@ -280,10 +263,10 @@ class Guard:
 
     def _controlled(self, now: int, tick: Tick) -> Setpoint:
         """Answer a control tick with a good frame."""
-        if self._solver.waits(now):
+        if self.solver.waits(now):
             self._happens(now, Condition.SOLVER_AWAITED, "poses are back")
             return self._without_solution(now, tick, None)
-        self._solver.tries()
+        self.solver.tries()
         try:
             solution = self.pilot.solve(tick)
             failure = "no solution" if solution.status is Status.FAILED else None
@@ -294,36 +277,35 @@ class Guard:
         if failure is not None:
             return self._without_solution(now, tick, failure)
         if self._fresh(now):
-            self._happens(now, Condition.SOLVED, "solved" if self._solver.troubled else "poses are back")
-        self._solver.solved(now, solution.inputs)
+            self._happens(now, Condition.SOLVED, "solved" if self.solver.troubled else "poses are back")
+        self.solver.solved(now, solution.inputs)
         return self._commanded(now, tick, solution.input, solution.status)
 
     def _without_solution(self, now: int, tick: Tick | None, failure: str | None) -> Setpoint:
         """Answer a control tick without a solution: the plan's next inputs for a few ticks, then fixed gains."""
-        solver = self._solver
+        solver = self.solver
         if failure is not None:
             given_up = solver.failed(now, failure)
-            if solver.hovering_since is None:
-                if given_up is None:
-                    self._happens(now, Condition.SOLVE_FAILED, f"solve failed ({failure})")
-                else:
-                    self._hover(now, given_up)
+            if solver.hovering_since is None and given_up is None:
+                self._happens(now, Condition.SOLVE_FAILED, f"solve failed ({failure})")
+            elif solver.hovering_since is None:
+                self._hover(now, given_up)
         if tick is None:
             return self._coasted(now)
         if solver.hovering_since is None:
-            return self._commanded(now, tick, solver.planned(now), Status.FAILED)
-        return self._commanded(now, tick, self.pilot.hold(tick, solver.place(tick.state)), Status.FAILED)
+            return self._commanded(now, tick, solver.planned(now))
+        return self._commanded(now, tick, self.pilot.hold(tick, solver.place(tick.state)))
 
     def _hover(self, now: int, reason: str) -> None:
         self._happens(now, Condition.SOLVER_FAILED, reason)
-        self._solver.hover(now, reason)
+        self.solver.hover(now, reason)
 
-    def _commanded(self, now: int, tick: Tick, rates: NDArray, status: Status) -> Setpoint:
+    def _commanded(self, now: int, tick: Tick, rates: NDArray, status: Status = Status.FAILED) -> Setpoint:
         command = self.pilot.answer(tick, rates, status)
         return self._setpoint(now, command.body_rate, command.thrust, command)
 
     def _coasted(self, now: int) -> Setpoint:
-        return self._setpoint(now, np.array([*self._solver.planned(now), 0.0]), self._last.thrust)
+        return self._setpoint(now, np.array([*self.solver.planned(now), 0.0]), self._last.thrust)
 
     def _levelled(self, now: int) -> Setpoint:
         """Level by the expected tilt; descend at a given speed while poses are good, else a little under the weight."""
@@ -331,7 +313,7 @@ class Guard:
         thrust = open_loop.thrust
         if self._fresh(now):
             safety = self.limits.safety
-            climb = safety.descent_gain * (-safety.descent - float(self._monitor.velocity[0, 2]))
+            climb = safety.descent_gain * (-safety.descent - float(self.monitor.velocity[0, 2]))
             upright = max(0.7, math.cos(open_loop.tilt[0]) * math.cos(open_loop.tilt[1]))
             share = max(0.5, min(1.2, 1.0 + climb / GRAVITY)) / upright
             thrust = share * weight(self.params) / self.params.vehicle.max_thrust
@@ -341,24 +323,23 @@ class Guard:
         """Make the setpoint of an armed mode: finite and within bounds, whatever was asked for."""
         if not (np.isfinite(body_rate).all() and math.isfinite(thrust)):
             self.notes.append(Event(now, "error", "a command was not finite: levelled instead"))
-            return self._keep(levelling(self.params, self.limits, now, self._tilt.at(now))._replace(mode=self.mode))
+            level = levelling(self.params, self.limits, now, self._tilt.at(now))
+            self._last = level._replace(mode=self.mode)
+            return self._last
         limit = self.params.vehicle.max_body_rate
         rates, thrust = np.clip(body_rate, -limit, limit), max(0.0, min(self.limits.safety.max_thrust, thrust))
         self._tilt.send(now, rates)
-        return self._keep(Setpoint(now, True, self.mode, rates, thrust, command, self._tilt.at(now)))
-
-    def _keep(self, setpoint: Setpoint) -> Setpoint:
-        self._last = setpoint
-        return setpoint
+        self._last = Setpoint(now, True, self.mode, rates, thrust, command, self._tilt.at(now))
+        return self._last
 
     def _tick(self, now: int) -> Setpoint:
         self._check_ages(now)
         if not self._armed:
-            return self._keep(disarmed(now))
-        if self.mode is Mode.LEVEL:
-            return self._levelled(now)
-        if self.mode is Mode.COASTING:
-            return self._coasted(now)
+            self._last = disarmed(now)
+        elif self.mode is Mode.LEVEL:
+            self._levelled(now)
+        elif self.mode is Mode.COASTING:
+            self._coasted(now)
         return self._last
 
     def _between(self, now: int) -> Setpoint | None:

@@ -10,17 +10,11 @@ BELIEVED = 3
 
 
 class LengthGate:
-    """Refuses absurd estimates, approaches far ones in steps, and notices when none come.
-
-    Args:
-        params: ``estimation``, ``piloting``.
-        limits: ``safety``.
-    """
+    """Refuses absurd estimates, approaches far ones in steps, and notices when none come."""
 
     def __init__(self, params: Params, limits: Limits) -> None:
         self._estimation, self._expected, self._safety = params.estimation, params.piloting.estimate, limits.safety
-        self._far = 0
-        self._heard = 0
+        self._far = self._heard = 0
         self._silent = False
 
     def judge(self, length: float, deviation: float, used: float) -> tuple[float | None, str | None]:

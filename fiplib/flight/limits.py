@@ -109,11 +109,7 @@ class Limits(Groups):
 
 
 def changed(params: Params, limits: Limits, changes: Iterable[tuple[str, Any]]) -> tuple[Params, Limits]:
-    """Return both with some parameters changed, each change a name ``group__field`` and a value.
-
-    Raises:
-        ValueError: as ``Groups.replace``.
-    """
+    """Return both with some parameters changed, each a name ``group__field`` and a value; raises as ``replace``."""
     values = dict(changes)
     own = {name: values.pop(name) for name in list(values) if name.partition("__")[0] in Params.ELSEWHERE}
     return params.replace(**values), limits.replace(**own)

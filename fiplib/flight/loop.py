@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fiplib.flight.display import Snapshot, View
+from fiplib.flight.display import View
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.links import Link
 from fiplib.flight.operator_input import OperatorInput
@@ -23,9 +23,8 @@ from fiplib.simulate import LengthUpdates, ParallelEstimator, Scenario
 class Clockwork:
     """Measures how punctual the flight was. Times in s.
 
-    ``late_ours`` counts ticks that were answered later than one tick after their frame had come, or whose frame was
-    taken more than half a tick late after we had been busy for that long; ``late_machine`` those whose frame was taken
-    that late for other reasons (poses missing or late, the machine busy with something else).
+    ``late_ours`` counts ticks answered later than one tick after their frame had come, or whose frame was taken more
+    than half a tick late after we had been busy for that long; ``late_machine`` those taken that late otherwise.
     """
 
     def __init__(self, tick: float) -> None:
@@ -33,8 +32,6 @@ class Clockwork:
         self.solves: deque[float] = deque(maxlen=120)
         self.worst_solve = math.nan
         self.ticks = self.late_ours = self.late_machine = 0
-        self.lateness: list[float] = []
-        self.answers: list[float] = []
         self._last: int | None = None
         self._busy = 0.0
 
@@ -48,8 +45,6 @@ class Clockwork:
         self.solves.append(seconds)
         self.worst_solve = max(seconds, self.worst_solve) if self.ticks > 1 else seconds
         late = (frame - self._last) / NANO - self.tick if self._last is not None else 0.0
-        self.lateness.append(late)
-        self.answers.append(seconds)
         half = 0.5 * self.tick
         ours = seconds > self.tick or (late > half and self._busy > half)
         self.late_ours += ours
@@ -62,7 +57,6 @@ class FlightLoop:
 
     Args:
         link: open.
-        guard: the failsafe with its pilot.
         recorder: where to; poses are recorded from arming on, and only those that the guard accepted: a bag holds what
             the pilot was given.
         estimator: beside the flight, or ``None``.
@@ -95,9 +89,7 @@ class FlightLoop:
         self._seen_transitions = self._seen_notes = 0
         self._began: int | None = None
         self._stopping = False
-        self._frames = 0
-        self._recorded = 0
-        self._drawn = 0
+        self._frames = self._recorded = self._drawn = 0  # frames received; ns of what was recorded and drawn last
 
     def run(self) -> None:
         """Fly until the guard has ended the flight.
@@ -158,7 +150,7 @@ class FlightLoop:
             self._began = now
             self._recorder.length(now, guard.pilot.length, math.nan, math.nan)
             if self._link.truth is not None:
-                self._recorder.truth_length(now, self._scenario.params.pendulum.length)
+                self._recorder.numbers("truth_length", now, [self._scenario.params.pendulum.length])
         stop, disarm = operator.reason, operator.cut
         if fault := self._link.fault():
             stop, disarm = fault, True
@@ -177,13 +169,13 @@ class FlightLoop:
             recorder.pose("vehicle", accepted.stamp, now, accepted.vehicle_position, accepted.vehicle_attitude)
             recorder.pose("pendulum", accepted.stamp, now, accepted.pendulum_position, accepted.pendulum_attitude)
             if self._link.truth is not None:
-                recorder.truth(accepted.stamp, self._link.truth)
+                recorder.numbers("truth_state", accepted.stamp, self._link.truth)
         if setpoint is None or setpoint.stamp <= self._recorded:
             return
         self._recorded = setpoint.stamp
         if setpoint.command is not None:
-            recorder.state(setpoint.stamp, setpoint.command.state)
-            recorder.reference(setpoint.stamp, setpoint.command.reference)
+            recorder.numbers("state", setpoint.stamp, setpoint.command.state)
+            recorder.numbers("reference", setpoint.stamp, setpoint.command.reference)
         # the message carries thrust in single precision
         recorder.command(setpoint.stamp, setpoint.body_rate, float(np.float32(setpoint.thrust)))
 
@@ -208,28 +200,28 @@ class FlightLoop:
         if self._view is None or (now - self._drawn < NANO // 10 and not last):
             return
         self._drawn = now
-        guard, clockwork = self.guard, self.clockwork
-        estimate = self._lengths.latest
-        self._view.show(
-            Snapshot(
-                time=self._elapsed(now) if self._began is not None else math.nan,
-                duration=self._scenario.duration,
-                mode=guard.mode.value,
-                words=guard.ended or (guard.waiting if self._began is None else guard.transitions[-1].reason),
-                position=guard.position,
-                tilt=guard.tilt,
-                lean=guard.lean,
-                length=guard.pilot.length,
-                estimate=estimate.length,
-                deviation=estimate.standard_deviation,
-                run=self._estimator.seconds if self._estimator is not None else math.nan,
-                solve=float(np.median(clockwork.solves)) if clockwork.solves else math.nan,
-                worst_solve=clockwork.worst_solve,
-                ticks=clockwork.ticks,
-                late_ours=clockwork.late_ours,
-                late_machine=clockwork.late_machine,
-                frames=self._frames,
-                refused=sum(guard.refused.values()),
-                recording=self._recorder.failed or "",
-            )
+        guard, clock, estimate = self.guard, self.clockwork, self._lengths.latest
+        time, mode, words = "not armed", guard.mode.value, guard.ended or guard.arming.waiting
+        if self._began is not None:
+            time = f"{self._elapsed(now):.1f} of {self._scenario.duration:g} s"
+            words = guard.ended or guard.transitions[-1].reason
+        where = ", ".join(f"{value:+.2f}" for value in guard.monitor.vehicle_position)
+        tilt, lean = (f"{math.degrees(angle):.1f} deg" for angle in (guard.tilt, guard.lean))
+        found = "no estimate yet"
+        if math.isfinite(estimate.length):
+            found, two = f"estimate {estimate.length:.3f} m", 2.0 * estimate.standard_deviation
+            if math.isfinite(two):
+                found += f", two deviations {estimate.length - two:.3f} to {estimate.length + two:.3f} m"
+            found += f", run took {self._estimator.seconds if self._estimator is not None else math.nan:.2f} s"
+        length = f"length {guard.pilot.length:.3f} m"
+        solve = f"solve {1e3 * (np.median(clock.solves) if clock.solves else math.nan):.2f} ms"
+        lines = (
+            f"{time}   {mode.upper()}   {words}",
+            f"vehicle at ({where}) m, tilt {tilt}, rod leans {lean}",
+            f"{length} in use, {found}",
+            f"{solve}, worst {1e3 * clock.worst_solve:.2f} ms",
+            f"ticks {clock.ticks}, late by us {clock.late_ours}, by poses or machine {clock.late_machine}",
+            f"poses {self._frames}, refused {sum(guard.refused.values())}   {self._recorder.failed or ''}",
         )
+        line = f"{time} {mode}: {words}, tilt {tilt}, rod {lean}, {length}, {solve}, late {clock.late_ours}"
+        self._view.show(lines, line)

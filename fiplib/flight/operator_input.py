@@ -5,7 +5,7 @@ import select
 import signal
 import sys
 from contextlib import suppress
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Self
 
 
@@ -33,19 +33,15 @@ class OperatorInput:
                 self._before[number] = signal.signal(number, self._signalled)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
 
     def _signalled(self, number: int, frame: FrameType | None) -> None:
         # a terminal that goes may say so more than once
         self.cut = self.reason is not None and signal.Signals(number).name != "SIGHUP"
-        self.reason = self.reason or {
-            signal.SIGINT: "operator abort (Ctrl-C)",
-            signal.SIGTERM: "told to end (SIGTERM)",
-        }.get(signal.Signals(number), "terminal lost (SIGHUP)")
+        reasons = {"SIGINT": "operator abort (Ctrl-C)", "SIGTERM": "told to end (SIGTERM)"}
+        self.reason = self.reason or reasons.get(signal.Signals(number).name, "terminal lost (SIGHUP)")
 
     def look(self, ready: bool) -> None:
         """Look whether Enter was pressed: once to arm (not counted before the vehicle is ready), once more to land."""

@@ -51,14 +51,11 @@ class PoseMonitor:
         self.velocity = np.zeros((2, 3))
         self._raw: tuple[int, NDArray] | None = None
         self._last: NDArray | None = None
-        self._newest = 0
-        self._delay = 0
-        self._correction = 0
+        self._newest = self._delay = self._correction = 0  # ns
         self._trusted = True
         self._ahead: deque[bool] = deque(maxlen=STAMPS)
-        self._behind = 0
         self._leads: deque[int] = deque(maxlen=STEADY)
-        self._refused = 0
+        self._behind = self._refused = 0
 
     def take(self, now: int, measurement: Measurement) -> Measurement | None:
         """Judge a frame that arrived at ``now`` ns.

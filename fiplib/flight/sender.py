@@ -14,10 +14,10 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
-from types import FrameType, TracebackType
-from typing import NamedTuple, Protocol, Self
+from types import FrameType
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,8 +27,10 @@ from fiplib.params import NANO, FipError, Params
 
 WIRE = struct.Struct("<q?B6d")
 """A setpoint on its way to the sender: stamp, armed, mode, three body rates, thrust, two tilts."""
+assert WIRE.size < 512  # what POSIX promises of PIPE_BUF
 MODES = list(Mode)
 LEAVE = b"leave"
+SPAWN = multiprocessing.get_context("spawn")
 START_TIME = 60.0
 """A process on a busy machine may take that long to import NumPy and CasADi, s."""
 HEARTBEAT = 0.05
@@ -58,17 +60,14 @@ class SenderError(FipError):
 class DeadMan:
     """Chooses what to send: the newest setpoint while it is fresh, then level and descend, then disarm. Pure.
 
-    Attributes:
-        fault: why it has disarmed, ``None`` before.
-        rejected: setpoints that were not finite, and so never sent.
-        clamped: setpoints that were out of bounds, and sent at the bounds.
+    ``fault`` says why it has disarmed, ``None`` before; ``rejected`` counts setpoints that were not finite, and never
+    sent, ``clamped`` those that were out of bounds, and sent at the bounds.
     """
 
     def __init__(self, params: Params, limits: Limits) -> None:
         self._params, self._limits = params, limits
         self._newest: Setpoint | None = None
-        self._heard = 0
-        self._asked = 0
+        self._heard = self._asked = 0
         self._tilt = np.zeros(2)
         self.fault: str | None = None
         self.rejected = self.clamped = 0
@@ -115,14 +114,8 @@ class Counts(NamedTuple):
 
 
 def encode(setpoint: Setpoint) -> bytes:
-    return WIRE.pack(
-        setpoint.stamp,
-        setpoint.armed,
-        MODES.index(setpoint.mode),
-        *setpoint.body_rate,
-        setpoint.thrust,
-        *setpoint.tilt,
-    )
+    numbers = (*setpoint.body_rate, setpoint.thrust, *setpoint.tilt)
+    return WIRE.pack(setpoint.stamp, setpoint.armed, MODES.index(setpoint.mode), *numbers)
 
 
 def decode(data: bytes) -> Setpoint:
@@ -130,58 +123,39 @@ def decode(data: bytes) -> Setpoint:
     return Setpoint(stamp, armed, MODES[mode], np.array(rates), thrust, None, (roll, pitch))
 
 
-class Sender:
-    """Sends setpoints from its own process; a context manager.
+class Sender(AbstractContextManager):
+    """Sends setpoints from its own process ``pid``; a context manager. ``open_sink`` makes the sink there; must pickle.
 
-    Args:
-        open_sink: makes the sink, in the sender's process; must pickle (a class or function of a module, or a
-            ``functools.partial`` of one).
-        params: ``vehicle`` and ``pendulum``.
-        limits: ``safety``.
-
-    Raises:
-        SenderError: the process does not start, or the sink cannot be opened.
+    Raises SenderError: the process does not start, or the sink cannot be opened.
     """
 
     def __init__(self, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
         self._open_sink, self._safety = open_sink, limits.safety
         self._fault: str | None = None
-        self._closed = False
-        self.counts = Counts()
-        self.dropped = 0
+        self._closed, self.counts, self.dropped = False, Counts(), 0
         self._rescue: threading.Thread | None = None
-        context = multiprocessing.get_context("spawn")
-        receiver, self._setpoints = context.Pipe(duplex=False)
-        self._status, status = context.Pipe(duplex=False)
+        receiver, self._setpoints = SPAWN.Pipe(duplex=False)
+        self._status, status = SPAWN.Pipe(duplex=False)
+        task = (open_sink, params, limits, receiver, status)
         # a daemon is terminated and waited for when this process exits, and leaves in good order then
-        self._process = context.Process(
-            target=_serve, args=(open_sink, params, limits, receiver, status), name="fip-sender", daemon=True
-        )
+        self._process = SPAWN.Process(target=_serve, args=task, name="fip-sender", daemon=True)
         self._process.start()
+        self.pid: int = self._process.pid or 0  # never 0: it is started
         receiver.close()
         status.close()
         os.set_blocking(self._setpoints.fileno(), False)  # a message is shorter than PIPE_BUF: whole or not at all
         try:
             if not self._status.poll(START_TIME):
+                self._process.kill()
                 raise SenderError(f"the command sender has not started within {START_TIME:g} s")
             fault, self.counts = self._status.recv()
         except (EOFError, OSError) as error:
-            raise SenderError(
-                f"the command sender ended while starting (exit code {self._process.exitcode})"
-            ) from error
-        except SenderError:
-            self._process.kill()
-            raise
+            code = self._process.exitcode
+            raise SenderError(f"the command sender ended while starting (exit code {code})") from error
         if fault is not None:
             self._process.join(1.0)
             raise SenderError(fault)
         self._reported = time.monotonic()
-
-    @property
-    def pid(self) -> int:
-        """The sender's process id."""
-        assert self._process.pid is not None
-        return self._process.pid
 
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
@@ -189,13 +163,10 @@ class Sender:
             return
         try:
             self._setpoints.send_bytes(encode(setpoint))
-        except BlockingIOError:
-            self.dropped += 1
-        except (struct.error, AttributeError, TypeError, ValueError):
-            self.dropped += 1  # no setpoint at all; the dead-man sees to what follows
+        except (BlockingIOError, struct.error, AttributeError, TypeError, ValueError):
+            self.dropped += 1  # the pipe is full, or this is no setpoint; the dead-man sees to what follows
         except OSError:
             self._lost()
-            return
         if not self._process.is_alive():
             self._lost()
 
@@ -204,16 +175,18 @@ class Sender:
         if self._closed or self._rescue is not None:
             return self._fault
         try:
-            while self._status.poll():
-                self._fault, self.counts = self._status.recv()
-                self._reported = time.monotonic()
+            self._listen()
         except (EOFError, OSError):
             self._lost()
-        if self._rescue is None and time.monotonic() - self._reported > HUNG:
-            self._process.kill()
-            self._process.join(1.0)
+        if time.monotonic() - self._reported > HUNG:
             self._lost("hung")
         return self._fault
+
+    def _listen(self) -> None:
+        """Take the sender's reports. Raises EOFError or OSError when it is gone."""
+        while self._status.poll():
+            self._fault, self.counts = self._status.recv()
+            self._reported = time.monotonic()
 
     def close(self) -> None:
         """Level-and-disarm frames for ``safety.leave_time``, then the end of the process."""
@@ -225,30 +198,24 @@ class Sender:
             self._setpoints.close()
             self._process.join(self._safety.leave_time + 5.0)
             if self._process.exitcode != 0:
-                self._process.kill()
-                self._process.join(1.0)
                 self._lost()
             else:
                 with suppress(EOFError, OSError):
-                    while self._status.poll():
-                        self._fault, self.counts = self._status.recv()
+                    self._listen()
         if self._rescue is not None:
             self._rescue.join(self._safety.leave_time + 5.0)
         self._closed = True
         self._setpoints.close()
         self._status.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _lost(self, how: str = "died") -> None:
-        """The sender is gone: level and disarm from here, through a sink of our own."""
+        """The sender is gone, or must be: level and disarm from here, through a sink of our own."""
         if self._rescue is None:
+            self._process.kill()
+            self._process.join(1.0)
             self._fault = f"the command sender {how} (exit code {self._process.exitcode}): disarmed without it"
             self._rescue = threading.Thread(target=self._disarm, name="fip-rescue")
             self._rescue.start()
@@ -269,19 +236,15 @@ class Sender:
             sink.close()
 
 
-class _Terminated(Exception):
-    pass
-
-
 def _terminate(number: int, frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise _Terminated
+    raise SystemExit  # no ``except Exception`` keeps it
 
 
-def urgent(level: int) -> None:
-    """Real-time scheduling at a level from 1, for this process and not for those it starts; where it is allowed."""
+def urgent(level: int, thread: int = 0) -> None:
+    """Real-time scheduling at a level from 1, for this or another thread, not inherited; where it is allowed."""
     with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
 
 
 def ignore_the_terminal() -> None:
@@ -299,12 +262,13 @@ def _serve(
     signal.signal(signal.SIGTERM, _terminate)
     urgent(3)
     server = _Server(open_sink, DeadMan(params, limits), limits, status)
+    if not server.open():
+        return
     try:
-        if server.open():
-            gc.freeze()
-            gc.disable()
-            server.run(receiver)
-    except (_Terminated, EOFError, OSError):
+        gc.freeze()
+        gc.disable()
+        server.run(receiver)
+    except (SystemExit, EOFError, OSError):
         pass  # the other side is gone, or wants us gone
     finally:
         server.leave()
@@ -318,7 +282,6 @@ class _Server:
         self._counts = Counts()
         self._trouble: str | None = None
         self._tried = self._reported = 0
-        self._started = False
         os.set_blocking(status.fileno(), False)  # nobody may be reading any more
 
     def open(self) -> bool:
@@ -327,8 +290,7 @@ class _Server:
         except Exception as error:  # whatever a device raises
             self._trouble = str(error) or type(error).__name__
         self._report()
-        self._started = self._sink is not None
-        return self._started
+        return self._sink is not None
 
     def run(self, receiver: Connection) -> None:
         due = time.monotonic_ns()
@@ -349,8 +311,6 @@ class _Server:
                 self._report()
 
     def leave(self) -> None:
-        if not self._started:
-            return
         end = time.monotonic() + self._leave_time
         while time.monotonic() < end:
             self._send(disarmed(time.monotonic_ns()), True)
@@ -363,14 +323,13 @@ class _Server:
     def _send(self, setpoint: Setpoint, repeated: bool) -> None:
         counts = self._counts
         try:
-            if self._sink is None:
-                self._reopen()
+            if self._sink is None and time.monotonic_ns() - self._tried > REOPEN * NANO:
+                self._tried = time.monotonic_ns()
+                self._sink = self._open_sink()
             if self._sink is not None:
                 self._sink.send(setpoint)
                 self._trouble = None
                 self._counts = counts._replace(sent=counts.sent + 1, repeated=counts.repeated + repeated)
-        except _Terminated:
-            raise
         except Exception as error:  # whatever a device raises
             self._counts = counts._replace(failed=counts.failed + 1)
             self._trouble = f"commands cannot be sent ({error or type(error).__name__})"
@@ -379,17 +338,8 @@ class _Server:
                     self._sink.close()
             self._sink = None
 
-    def _reopen(self) -> None:
-        now = time.monotonic_ns()
-        if now - self._tried > REOPEN * NANO:
-            self._tried = now
-            self._sink = self._open_sink()
-
     def _report(self) -> None:
         self._reported = time.monotonic_ns()
         self._counts = self._counts._replace(rejected=self._dead_man.rejected, clamped=self._dead_man.clamped)
         with suppress(OSError):  # full, or nobody there
             self._status.send((self._trouble or self._dead_man.fault, self._counts))
-
-
-assert WIRE.size < 512  # what POSIX promises of PIPE_BUF

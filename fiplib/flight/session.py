@@ -5,10 +5,9 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
-from fiplib import bags
+from fiplib import bags, kernels
 from fiplib.bags.live import LiveRecorder
 from fiplib.flight.display import View
 from fiplib.flight.estimator import EstimatorProcess
@@ -23,8 +22,8 @@ from fiplib.simulate import ParallelEstimator, Scenario, SimulatedEstimator
 class NewBag:
     """Makes room for a bag at ``path``; a context manager.
 
-    With ``force`` a bag that is there already is put aside. It is deleted once ``begun`` is set and the flight is over;
-    a flight that does not begin brings it back, and leaves no bag of its own. Anything but a bag is left alone.
+    With ``force`` a bag that is there already is put aside, and deleted when the flight is over. A flight that does not
+    begin (``begun``) brings it back, and leaves no bag of its own. Anything but a bag is left alone.
     """
 
     def __init__(self, path: Path, force: bool) -> None:
@@ -40,9 +39,7 @@ class NewBag:
         self._absent = not path.exists()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if not self.begun and self._absent:
             shutil.rmtree(self._path, ignore_errors=True)
         if self._aside is not None:
@@ -55,7 +52,7 @@ class Session:
     """Opens operator, recorder, estimator, display and link, and closes them in reverse; a context manager.
 
     Args:
-        scenario, limits, link: of the flight; the link not yet open.
+        link: not yet open.
         output: folder of the bag to write.
         real_time: with processes of their own for recorder and estimator, and a display; else in virtual time.
         ask: whether the operator arms by the Enter key.
@@ -63,6 +60,7 @@ class Session:
 
     Attributes:
         operator, recorder, estimator, view: to be given to ``FlightLoop``; the last two may be ``None``.
+        metadata: of the bag.
 
     Raises:
         BagError: on entering, the recording cannot begin; on leaving, it does not hold the whole flight.
@@ -87,20 +85,15 @@ class Session:
         self._limits, self._ask = limits, ask
         self.operator = OperatorInput(ask)
         self._bag = NewBag(output, force)
+        origin = {"origin": link.origin, "link": link.name, "real_time": real_time}
+        self.metadata = {**scenario.metadata(), **origin, "params": recorded(scenario.params, limits)}
         self._processes: dict[str, LiveRecorder | EstimatorProcess] = {}
-
-    @property
-    def metadata(self) -> dict[str, Any]:
-        """The metadata of the bag."""
-        scenario, link = self.scenario, self.link
-        origin = {"origin": link.origin, "link": link.name, "real_time": self.real_time}
-        return {**scenario.metadata(), **origin, "params": recorded(scenario.params, self._limits)}
 
     @property
     def pids(self) -> dict[str, int]:
         """The ids of the processes of the flight, by name; that of the estimator changes when it is restarted."""
-        beside = {name: process.pid for name, process in self._processes.items()}
-        return {"pilot": os.getpid(), **{name: pid for name, pid in beside.items() if pid}, **self.link.pids}
+        beside = {name: process.pid for name, process in self._processes.items() if process.pid}
+        return {"pilot": os.getpid(), **beside, **self.link.pids}
 
     def __enter__(self) -> Self:
         # left in reverse order: the commands end first, then the rest
@@ -108,6 +101,7 @@ class Session:
             stack.enter_context(self._bag)
             stack.enter_context(self.operator)
             if self.real_time:
+                kernels.load()  # here, and never within a tick
                 self._open_beside(stack)
             else:
                 self.recorder = stack.enter_context(bags.BagRecorder(self.output, self.metadata))
@@ -119,10 +113,8 @@ class Session:
             urgent(1)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
-        return self._stack.__exit__(kind, error, trace)
+    def __exit__(self, *raised: Any) -> bool | None:
+        return self._stack.__exit__(*raised)
 
     def _open_beside(self, stack: contextlib.ExitStack) -> None:
         params = self.scenario.params

@@ -67,11 +67,7 @@ def weight(params: Params) -> float:
 
 
 class TiltPredictor:
-    """Predicts roll and pitch: the measured ones, plus the integral of the body rates commanded since then.
-
-    Args:
-        delay: from a command to its effect in the measured poses, s.
-    """
+    """Predicts roll and pitch: the measured ones, plus the integral of the rates commanded since ``delay`` s before."""
 
     def __init__(self, delay: float) -> None:
         self._delay = round(delay * NANO)
@@ -94,7 +90,7 @@ class TiltPredictor:
             if end > begin:
                 tilt = tilt + rates * ((end - begin) / NANO)
                 end = begin
-            if start <= begin and start <= self._seen - self._delay:
+            if start <= self._seen - self._delay:
                 break
         roll, pitch = np.clip(tilt, -1.0, 1.0).tolist()
         return roll, pitch

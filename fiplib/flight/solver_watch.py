@@ -63,10 +63,6 @@ class SolverWatch:
         self.hovering_since, self._place, self.failure = now, None, reason
         self._retry = now + round(self._safety.solver_retry * NANO)
 
-    def recovered(self) -> None:
-        """Try the solver at once: the vehicle was levelled meanwhile, and flies again."""
-        self.hovering_since = None
-
     def hovered(self, now: int) -> float:
         """Return for how long fixed gains have stood in, s; 0 while they do not."""
         return (now - self.hovering_since) / NANO if self.hovering_since is not None else 0.0

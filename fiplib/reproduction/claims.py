@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiplib.params import X_DOT, Y_DOT, X, Y
 from fiplib.recording import Flight
@@ -191,48 +190,34 @@ def heavier_y(paper: None, rows: Rows) -> Finding:
 
     Mended means that the difference is more than chance and choice of the criterion could make: beyond ``ABOUT``.
     """
-    light, heavy = (_of(rows, variant, "y_error") for variant in ("default", "y heavy"))
-    if not (len(light) and len(heavy)):
+    circling = [row for row in rows if row["scenario"] == "circle-0.8"]
+    errors = ([row["y_error"] for row in circling if row["variant"] == variant] for variant in ("default", "y heavy"))
+    (seeds, light), (heavy_seeds, heavy) = ((len(some), float(np.mean(some or math.nan))) for some in errors)
+    if not (seeds and heavy_seeds):
         return Finding(math.nan, Verdict.OPEN, "The study 'ledger_seeds' is not complete")
-    ratio = float(heavy.mean() / light.mean())
-    words = (
-        f"Weights of y and y' ten times ours, as those of x and x': {light.mean():.3f} m ({len(light)} seeds) become "
-    )
-    words += f"{heavy.mean():.3f} m ({len(heavy)} seeds). That y's weights were light in the paper is our reading"
-    return Finding(
-        ratio, verdict(ratio < 1 - ABOUT), words, {"light": float(light.mean()), "heavy": float(heavy.mean())}
-    )
+    words = f"Weights of y and y' ten times ours, as those of x and x': {light:.3f} m ({seeds} seeds) become "
+    words += f"{heavy:.3f} m ({heavy_seeds} seeds). That y's weights were light in the paper is our reading"
+    return Finding(heavy / light, verdict(heavy / light < 1 - ABOUT), words, {"light": light, "heavy": heavy})
 
 
 def small_steps(paper: None, rows: Rows) -> Finding:
     """G6: of the outliers of 2 s that make the rod fall when taken over at once, the share that steps make harmless."""
-    fell = {
-        lasting: [
-            (row["length"], row["rod"])
-            for row in rows
-            if row["lasting"] == lasting and row["change"] == "at once" and row["survived"] == 0
-        ]
-        for lasting in ("2 s", "for good")
-    }
     if not rows:
         return Finding(math.nan, Verdict.OPEN, "The study 'length_jumps' is not complete")
-    stepped = {(r["length"], r["rod"], r["lasting"]): r["survived"] for r in rows if r["change"] == "in steps"}
+    at_once, stepped = (
+        {(row["lasting"], row["length"], row["rod"]): row["survived"] for row in rows if row["change"] == change}
+        for change in ("at once", "in steps")
+    )
     flights = max(stepped.values())
-    saved = {lasting: [stepped[*case, lasting] == flights for case in cases] for lasting, cases in fell.items()}
-    shares = {lasting: float(np.mean(some)) if some else math.nan for lasting, some in saved.items()}
-    words = (
-        f"Outliers of 2 s that fell at once ({len(saved['2 s'])} of the study): share that steps of 5 cm each 0.2 s "
+    outliers, lasting = (
+        [stepped[case] == flights for case, survived in at_once.items() if case[0] == kind and survived == 0]
+        for kind in ("2 s", "for good")
     )
-    words += (
-        f"make harmless. Of wrong lengths that stay ({len(saved['for good'])}): {shares['for good']:.2f}, the rest "
-    )
+    saved, delayed = (float(np.mean(some)) if some else math.nan for some in (outliers, lasting))
+    words = f"Outliers of 2 s that fell at once ({len(outliers)} of the study): share that steps of 5 cm each 0.2 s "
+    words += f"make harmless. Of wrong lengths that stay ({len(lasting)}): {delayed:.2f}, the rest "
     words += "is only put off, since such a length does not fly"
-    return Finding(shares["2 s"], verdict(shares["2 s"] > 0.5), words, {"lasting": shares["for good"]})
-
-
-def _of(rows: Rows, variant: str, column: str) -> NDArray:
-    """A column of the study 'ledger_seeds' over the seeds of a variant on the 0.8 m circle."""
-    return np.array([r[column] for r in rows if r["variant"] == variant and r["scenario"] == "circle-0.8"])
+    return Finding(saved, verdict(saved > 0.5), words, {"lasting": delayed})
 
 
 def final_length(paper: float, flight: Flight) -> Finding:
@@ -369,10 +354,13 @@ def fatal_jump(paper: float, flight: Flight) -> Finding:
     return Finding(size, verdict(size > paper and ratio > 1 + ABOUT), words, {"delay": end - start, "ratio": ratio})
 
 
+UNRECORDED = Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
+
+
 def solve_time(paper: float, table: Quantities) -> Finding:
     """R1: time of one MPC solve, ms, from the benchmark's table."""
     if SOLVE_TIME not in table:
-        return Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
+        return UNRECORDED
     words = "99 % of the solves take no longer, on the benchmark's machine; our exact solver in place of acados"
     return Finding(table[SOLVE_TIME] / 1e3, verdict(table[SOLVE_TIME] / 1e3 < paper), words)
 
@@ -380,7 +368,7 @@ def solve_time(paper: float, table: Quantities) -> Finding:
 def stalled_ticks(paper: None, table: Quantities) -> Finding:
     """R1: control ticks missed for another cause than the machine, with the GA beside the MPC in real time."""
     if "missed" not in table:
-        return Finding(math.nan, Verdict.OPEN, "No flight can tell; the benchmark has not been recorded yet")
+        return UNRECORDED
     ours = table["missed"] - table["missed_machine"]
     words = (
         f"{table['minutes']:.0f} min in real time on {table['cores']:.0f} cores, the GA in its own process: of "

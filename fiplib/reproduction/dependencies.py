@@ -2,10 +2,12 @@
 
 import ast
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
+
+from fiplib.reproduction.sources import Product
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,6 +26,20 @@ def files(*addresses: str) -> list[Path]:
             waiting += _references(*address.split(":"))
     modules = map(_module, {address.partition(":")[0] for address in seen})
     return sorted(module.path for module in modules if module)
+
+
+def rules(products: Mapping[str, Product]) -> list[str]:
+    """The lines of a makefile that name the sources of each product: code and data."""
+    common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
+    lines, scanned = [], set(common)
+    for name, product in products.items():
+        reading = ["fiplib.bags:read"] if product.bags else []
+        code = dict.fromkeys([*common, *files(product.address, *product.parts, *reading)])
+        scanned.update(code)
+        lines.append(f"sources_{name} := {' '.join(map(str, [*code, *product.files()]))}")
+    sources = " ".join(sorted(map(str, scanned)))
+    # a source without a rule would stop make once it is deleted; with an empty one, this file is made again
+    return [*lines, f".make/products.mk: {sources}", f"{sources}:"]
 
 
 class _Module(NamedTuple):

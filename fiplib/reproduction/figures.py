@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fiplib.params import STATES, Params
-from fiplib.recording import TOPICS, BagError, Flight
+from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
 
@@ -112,7 +111,8 @@ def fig5_estimation(flight: Flight) -> Figure:
     for axes, name in zip(panels, "xy", strict=False):
         _plot_tracking(axes, flight, name)
     _plot_errors(panels[2], flight)
-    time, (used, estimate, deviation) = _lengths(flight)
+    time, used = measures.used_length(flight)
+    estimate, deviation = flight.length.values.T[1:]
     axes = panels[3]
     axes.fill_between(
         time[1:], *(estimate[1:] + sign * 2 * deviation[1:] for sign in (-1, 1)), color=BLUE, alpha=0.15, lw=0,
@@ -132,7 +132,7 @@ def fig6_convergence(*flights: Flight) -> Figure:
     figure, (axes,) = _panels(flights[0], 1, 2.4)
     _origin(figure, *flights)
     for flight, claim, colour in zip(flights, ("G1", "G2", "G3"), (BLUE, ORANGE, GREEN), strict=True):
-        time, (used, *_) = _lengths(flight)
+        time, used = measures.used_length(flight)
         axes.step(
             np.r_[time, flight.duration], np.r_[used, used[-1]], where="post", color=colour,
             label=f"$l_0$ = {used[0]:g} m",
@@ -214,13 +214,6 @@ def _band(axes: Axes, value: float, label: str) -> None:
         axes.axhline(side, color="black", lw=0.6, ls="--", label=label if side > 0 else None)
     axes.set_ylim(-1.25 * value, 2.1 * value)
     axes.legend(loc="upper right", ncols=3)
-
-
-def _lengths(flight: Flight) -> tuple[NDArray, NDArray]:
-    """Times (n,) s and the columns (3, n) used, estimate, standard deviation of the recorded lengths."""
-    if flight.length is None:
-        raise BagError(f"{flight.path}: no topic {TOPICS['length']}: this figure needs a flight with an estimator")
-    return flight.time(flight.length), flight.length.values.T
 
 
 def _draw_vehicle(axes: Axes, params: Params) -> None:

@@ -1,8 +1,6 @@
 """The ledger as files: every claim judged on our flights, as table, text, LaTeX and macros of the report."""
 
 import argparse
-import csv
-import io
 import math
 import re
 import textwrap
@@ -15,8 +13,8 @@ from typing import NamedTuple
 from fiplib.params import Params
 from fiplib.recording import Flight
 from fiplib.reproduction.claims import BY_ID, CLAIMS, Claim, Verdict
-from fiplib.reproduction.sources import Quantities, Rows
-from fiplib.reproduction.tables import Facts
+from fiplib.reproduction.sources import Quantities, Rows, csv_text
+from fiplib.reproduction.tables import NONE, Facts, Table
 
 
 class Row(NamedTuple):
@@ -56,10 +54,7 @@ def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
 
 def as_csv(rows: Sequence[Row]) -> str:
     """The ledger with the columns id, claim, paper, ours, unit, reading, verdict, bag, command."""
-    text = io.StringIO()
-    lines = [(*Row._fields[:-1], "command"), *((*row[:-1], BY_ID[row.id].command) for row in rows)]
-    csv.writer(text, lineterminator="\n").writerows(lines)
-    return text.getvalue()
+    return csv_text([(*Row._fields[:-1], "command"), *((*row[:-1], BY_ID[row.id].command) for row in rows)])
 
 
 WIDTHS = {"id": 10, "claim": 28, "paper": 6, "ours": 6, "unit": 6, "verdict": 18, "reading": 62}
@@ -90,14 +85,13 @@ def as_text(rows: Sequence[Row]) -> str:
 
 def as_latex(rows: Sequence[Row]) -> str:
     """The ledger as a booktabs tabular of the page's width; the reasons stay in the CSV."""
-    lines = ["Row & Claim of the paper & Paper & Ours & Unit & Verdict"]
+    lines = []
     for row in rows:
         symbols = re.sub(r"\b([abxyl])(0?)\b", lambda found: f"${found[1]}{'_0' if found[2] else ''}$", row.claim)
-        numbers = (number.replace("-", "$-$") or "--" for number in (row.paper, row.ours))
-        lines.append(" & ".join((row.id, symbols, *numbers, "" if row.unit == "1" else row.unit, row.verdict)))
-    head, *body = (rf"{line} \\" for line in lines)
-    top, bottom = r"\begin{tabular}{@{}llrrll@{}}" + "\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
-    return "\n".join([top, head, r"\midrule", *body, bottom])
+        numbers = (number.replace("-", "$-$") or NONE for number in (row.paper, row.ours))
+        lines.append((row.id, symbols, *numbers, "" if row.unit == "1" else row.unit, row.verdict))
+    header = ("Row", "Claim of the paper", "Paper", "Ours", "Unit", "Verdict")
+    return Table(header, lines, "@{}llrrll@{}").latex()
 
 
 def counted(rows: Sequence[Row]) -> dict[str, int]:

@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiplib.params import A, B, X, Y
 from fiplib.recording import TOPICS, BagError, Flight
@@ -154,6 +154,6 @@ def jumps(flight: Flight) -> list[Jump]:
     return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
 
 
-def rms(values: NDArray) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+def rms(values: ArrayLike) -> float:
+    """Root of the mean square; nan of no values."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else math.nan

@@ -1,6 +1,9 @@
 """The sources of a figure, table or claim: bags, and the finished tables of studies and benchmarks, read from disk."""
 
 import csv
+import io
+import pkgutil
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +68,21 @@ class Sources:
         return flights + tables + [quantities(data.parent / "benchmarks" / f"{name}.csv") for name in self.benchmarks]
 
 
+@dataclass(frozen=True)
+class Product(Sources):
+    """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns.
+
+    ``parts`` are further functions that make it.
+    """
+
+    address: str
+    parts: tuple[str, ...] = ()
+
+    def load(self) -> Callable:
+        """Import the function, which returns a ``Figure`` or a ``Table``."""
+        return pkgutil.resolve_name(self.address)
+
+
 def read(study: str, data: Path = Path("data")) -> Rows:
     """Return the finished table of a study; empty where ``make sweep`` has not completed it yet."""
     path = data / "sweeps" / f"{study}.csv"
@@ -79,6 +97,13 @@ def _number(value: str) -> float | str:
         return float(value)
     except ValueError:
         return value
+
+
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
+    """Rows as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def quantities(path: Path) -> Quantities:

@@ -1,5 +1,10 @@
 """How every figure looks: one column, 8 pt, colours that colour-blind readers tell apart, the origin of the data."""
 
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 COLUMN = 3.4
@@ -34,3 +39,16 @@ STYLE = {
 def origin(figure: Figure, words: str, y: float | None = None) -> None:
     """Say in the figure itself what its data are."""
     figure.suptitle(words, fontsize=7, color=GREY, x=0.99, ha="right", y=y)
+
+
+def styled() -> AbstractContextManager:
+    """Return the context in which figures are drawn and saved."""
+    return mpl.rc_context(STYLE)
+
+
+def save(figure: Figure, pdf: Path, png: Path) -> None:
+    """Save a figure without date and program: the same figure gives the same bytes."""
+    with styled():
+        FigureCanvasAgg(figure)
+        figure.savefig(pdf, metadata={"CreationDate": None, "Producer": None, "Creator": None})
+        figure.savefig(png, metadata={"Software": None})

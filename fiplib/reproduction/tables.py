@@ -1,7 +1,5 @@
 """Tables as text, and those of the paper: from the parameters and from recorded flights."""
 
-import csv
-import io
 import re
 from typing import NamedTuple
 
@@ -10,6 +8,7 @@ import numpy as np
 from fiplib.params import STATES, Params
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
+from fiplib.reproduction.sources import csv_text
 
 NONE = "--"
 """A cell without a value."""
@@ -27,10 +26,8 @@ class Table(NamedTuple):
 
     def csv(self, command: str) -> str:
         """As CSV; a last column holds the command that computes the rows from the beginning."""
-        text = io.StringIO()
         rows = [(*self.header, "Command"), *((*row, command) for row in self.rows)]
-        csv.writer(text, lineterminator="\n").writerows([plain(cell) for cell in row] for row in rows)
-        return text.getvalue()
+        return csv_text([plain(cell) for cell in row] for row in rows)
 
     def _repr_markdown_(self) -> str:
         """As a notebook shows it."""

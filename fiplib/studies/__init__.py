@@ -12,10 +12,14 @@ outside its tables. A second study in a module is a class with these as static m
 """
 
 import pkgutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from fiplib.reproduction.sources import read
 
 if TYPE_CHECKING:
     from fiplib.recording import Flight
+    from fiplib.reproduction.tables import Facts
     from fiplib.simulate import Scenario
 
 STUDIES = {
@@ -34,6 +38,10 @@ STUDIES = {
 """Address of each study by name, see ``load``."""
 
 
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
+"""The studies whose ``facts`` the report states, in the order of the file that holds them."""
+
+
 def load(address: str) -> Any:
     """Import the study at ``module`` or ``module:Class``."""
     return pkgutil.resolve_name(address if ":" in address else f"{address}:")
@@ -42,6 +50,16 @@ def load(address: str) -> Any:
 def run(address: str, case: dict) -> dict:
     """Run one case of the study at an address: all that a worker knows of it."""
     return load(address).run(case)
+
+
+def facts(data: Path = Path("data")) -> "Facts":
+    """Return what the report states of the studies in ``FACTS``; a study that is not complete has nothing to state."""
+    return {
+        (study, *words): text
+        for study in FACTS
+        if (rows := read(study, data))
+        for words, text in load(STUDIES[study]).facts(rows).items()
+    }
 
 
 def seconds_flown(flight: "Flight", scenario: "Scenario") -> float:

@@ -1,13 +1,7 @@
 """Betaflight's own firmware as the inner loop of the simulated vehicle, beside the delay-and-lag model.
 
-    fip firmware install
-    fip firmware step
-    fip firmware fly
-    fip firmware push --output firmware-push
-    fip firmware settings
-
-`install` builds Betaflight 4.6.0 for this computer (SITL), unmodified, into a side environment, .venv-betaflight; it
-needs gcc, make and the package index. The firmware is under the GNU GPL, stays there, and is no part of this package.
+``fip firmware install`` builds Betaflight 4.6.0 for this computer (SITL), unmodified, into a side environment,
+.venv-betaflight; it needs gcc, make and the package index. It is under the GNU GPL, and no part of this package.
 Simulated, every flight: a vehicle with motors as fiplib/flight/betaflight/airframe.py models it. Nothing here has flown
 on hardware.
 """
@@ -35,9 +29,10 @@ from fiplib.flight.limits import Limits, changed, recorded
 from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
-from fiplib.params import NANO, Params, assignment
+from fiplib.params import NANO, Groups, Params, assignment
 from fiplib.pilot import Hover, Pilot
 from fiplib.recording import Measurement, MemoryRecorder
+from fiplib.reproduction.measures import rms
 from fiplib.simulate import Scenario, SimulatedEstimator
 from fiplib.studies.estimators import summarise
 
@@ -79,11 +74,9 @@ class Flown:
     """A flight behind the failsafe in virtual time, as seen from outside from where the vehicle flies by itself.
 
     Attributes:
-        scenario, metadata: of the flight.
-        tape: what was recorded.
-        duration: s; ``balanced``: whether the rod was up to the end; ``ended``: why the flight ended.
-        time: (n,) s, at the rate of motion capture.
-        truth: (n, 11) as ``recording.ROLES["truth_state"]``.
+        scenario, metadata, tape: what was flown, and recorded.
+        duration, balanced, ended: in s; whether the rod was up to the end; why the flight ended.
+        time, truth: (n,) s, at the rate of motion capture; (n, 11) as ``recording.ROLES["truth_state"]``.
         rates, commands: (n, 3) rad/s, each command at the frame from which on it was sent.
     """
 
@@ -105,8 +98,8 @@ class Flown:
 
     @property
     def lean(self) -> NDArray:
-        """Offsets of the rod's COM, m, within the scenario."""
-        return np.hypot(self.truth[:, 4], self.truth[:, 6])[self.within]
+        """Offsets (n,) of the rod's COM, m, at all frames."""
+        return np.hypot(self.truth[:, 4], self.truth[:, 6])
 
     @property
     def height_error(self) -> str:
@@ -118,8 +111,7 @@ class Flown:
         rows = (self.time >= start) & (self.time < stop) & self.within
         if not rows.any():
             return math.nan, math.nan, math.inf
-        time, truth = self.time[rows] - start, self.truth[rows]
-        leaning = np.hypot(truth[:, 4], truth[:, 6])
+        time, truth, leaning = self.time[rows] - start, self.truth[rows], self.lean[rows]
         away = truth[:, [0, 2]] - self.scenario.reference.at(self.time[rows])[:, [0, 2]]
         over = np.flatnonzero(leaning > SETTLED)
         settled = math.inf if len(over) and over[-1] == len(time) - 1 else float(time[over[-1]]) if len(over) else 0.0
@@ -158,13 +150,8 @@ def flown(scenario: Scenario, limits: Limits, link: ObservedLink, bag: Path | No
         loop.run()
     rows = np.array(link.rows).reshape(-1, 17)
     time = np.arange(len(rows)) / scenario.params.piloting.mocap_rate
-    seen = (time, rows[:, :11], rows[:, 11:14], rows[:, 14:])
+    seen = time, *np.split(rows, (11, 14), axis=1)
     return Flown(scenario, metadata, tape, loop.duration, loop.balanced, guard.ended or "", *seen)
-
-
-def rms(values: NDArray) -> float:
-    """Return the root mean square of values; nan of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 # --- step responses
@@ -218,13 +205,6 @@ def curves(
             hold(STEP_TIME, -rate)
 
 
-def step_of_model(params: Params, rate: float) -> NDArray:
-    """The unit step response of the delay and lag of ``simulation``."""
-    command = np.ones(round(STEP_TIME * rate) + 2)
-    command[0] = 0.0
-    return model.respond(command, 1.0 / rate, params.simulation.rate_delay, params.simulation.rate_lag)[2:]
-
-
 def fitted(curve: Curve, rate: float) -> model.Response:
     """Delay and lag of a step response, gain and misfit as shares of the step."""
     command = np.concatenate([[0.0], np.ones(len(curve.response) + 1)])
@@ -267,16 +247,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what is asked for; 1 if a rod did not stay up.
-
-    Raises:
-        FirmwareError: Betaflight cannot be built, started or armed.
-        ValueError, BagError, OSError: an option makes no sense, or an output cannot be written.
-    """
-    if options.action == "install":
-        print(sitl.install(options.again))
-        return 0
-    return {"step": step, "push": push, "fly": fly, "settings": print_settings}[options.action](options)
+    """Do what is asked for; 1 if a rod did not stay up. Raises FirmwareError: Betaflight cannot be built or started."""
+    return {"install": install, "step": step, "push": push, "fly": fly, "settings": settings}[options.action](options)
 
 
 def scenario_of(name: str, changes: Sequence[str], seed: int | None = None) -> tuple[Scenario, Limits]:
@@ -288,22 +260,11 @@ def scenario_of(name: str, changes: Sequence[str], seed: int | None = None) -> t
     return dataclasses.replace(scenario, params=params, seed=scenario.seed if seed is None else seed), limits
 
 
-def airframe_of(changes: Sequence[str]) -> Airframe:
-    """The airframe with the changes of --airframe. Raises ValueError."""
-    airframe, known = Airframe(), [field.name for field in dataclasses.fields(Airframe)]
-    for text in changes:
-        name, _, value = text.partition("=")
-        if name not in known:
-            raise ValueError(f"--airframe {text}: write NAME=VALUE, where NAME is {', '.join(known)}")
-        size = np.size(getattr(airframe, name))
-        try:
-            numbers = tuple(float(number) for number in value.split(","))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != size or not all(0.0 < number < math.inf for number in numbers):
-            raise ValueError(f"--airframe {text}: give {size} number{'s, with commas,' * (size > 1)} > 0")
-        airframe = dataclasses.replace(airframe, **{name: numbers if size > 1 else numbers[0]})
-    return airframe
+@dataclasses.dataclass(frozen=True)
+class Modelled(Groups):
+    """The airframe as a group of parameters, which are changed and checked as all are."""
+
+    airframe: Airframe = dataclasses.field(default_factory=Airframe)
 
 
 @contextlib.contextmanager
@@ -311,13 +272,19 @@ def betaflight(
     options: argparse.Namespace, params: Params, limits: Limits
 ) -> Iterator[tuple[sitl.Betaflight, Airframe]]:
     """Betaflight with the settings of docs/firmware.md, then those of --cli; and the airframe that it flies."""
-    airframe = airframe_of(options.airframe)
+    changes = dict(assignment(f"airframe.{text}") for text in options.airframe)
+    airframe = Modelled().replace(**changes).airframe
     *lines, save = model.settings(params, limits)
     with sitl.Betaflight([*lines, *options.cli, save], airframe.exchange_rate) as inner:
         yield inner, airframe
 
 
-def print_settings(options: argparse.Namespace) -> int:
+def install(options: argparse.Namespace) -> int:
+    print(sitl.install(options.again))
+    return 0
+
+
+def settings(options: argparse.Namespace) -> int:
     scenario, limits = scenario_of("push-hover", options.set)
     print("\n".join(model.settings(scenario.params, limits)))
     return 0
@@ -332,30 +299,25 @@ def step(options: argparse.Namespace) -> int:
     print("Rate loop of Betaflight 4.6.0 (SITL) on the modelled vehicle, from the arrival of a command. Simulated.")
     print("                 response, ms          over-  settled  best delay and lag, ms       misfit")
     print("step            10 %   63 %   90 %  shoot  to 5 %   delay    lag   sum   gain    rms")
-    for curve in made:
-        shape = model.step_shape(np.arange(1, len(curve.response) + 1) / rate, curve.response / curve.size)
-        show(f"{AXES[curve.axis]:5} {math.degrees(curve.size):4.0f} deg/s", shape, fitted(curve, rate))
-    unit = step_of_model(params, rate)
-    shape = model.step_shape(np.arange(1, len(unit) + 1) / rate, unit)
-    show("delay and lag", shape, fitted(Curve(0, 1.0, unit), rate))
-    print(
-        f"delay and lag: the inner loop of fiplib/simulate.py, {1e3 * simulation.rate_delay:g} ms and "
-        f"{1e3 * simulation.rate_lag:g} ms"
-    )
+    command = np.concatenate([[0.0], np.ones(round(STEP_TIME * rate) + 1)])
+    unit = model.respond(command, 1.0 / rate, simulation.rate_delay, simulation.rate_lag)[2:]
+    time = np.arange(1, len(unit) + 1) / rate
+    names = [f"{AXES[curve.axis]:5} {math.degrees(curve.size):4.0f} deg/s" for curve in made]
+    for name, curve in zip([*names, "delay and lag"], [*made, Curve(0, 1.0, unit)], strict=True):
+        shape, best = model.step_shape(time, curve.response / curve.size), fitted(curve, rate)
+        reached = f"{1e3 * shape.t10:6.1f} {1e3 * shape.t63:6.1f} {1e3 * shape.t90:6.1f} {100 * shape.overshoot:5.0f} %"
+        print(
+            f"{name:14}{reached} {1e3 * shape.settled:7.0f} {1e3 * best.delay:7.1f} {1e3 * best.lag:6.1f}"
+            f" {1e3 * (best.delay + best.lag):5.1f} {best.gain:6.2f} {100 * best.residual:5.1f} %"
+        )
+    lags = f"{1e3 * simulation.rate_delay:g} ms and {1e3 * simulation.rate_lag:g} ms"
+    print(f"delay and lag: the inner loop of fiplib/simulate.py, {lags}")
     if options.output is not None:
         header = ["time s", *(f"{AXES[c.axis]} {math.degrees(c.size):g} deg/s" for c in made), "delay and lag"]
-        columns = [np.arange(1, len(unit) + 1) / rate, *(c.response / c.size for c in made), unit]
+        columns = [time, *(c.response / c.size for c in made), unit]
         np.savetxt(options.output, np.column_stack(columns), "%.6g", ",", header=",".join(header), comments="")
         print(f"wrote {options.output}: each response as a share of its step")
     return 0
-
-
-def show(name: str, shape: model.Step, best: model.Response) -> None:
-    print(
-        f"{name:14}{1e3 * shape.t10:6.1f} {1e3 * shape.t63:6.1f} {1e3 * shape.t90:6.1f} {100 * shape.overshoot:5.0f} %"
-        f" {1e3 * shape.settled:7.0f} {1e3 * best.delay:7.1f} {1e3 * best.lag:6.1f}"
-        f" {1e3 * (best.delay + best.lag):5.1f} {best.gain:6.2f} {100 * best.residual:5.1f} %"
-    )
 
 
 def fly(options: argparse.Namespace) -> int:
@@ -373,7 +335,7 @@ def fly(options: argparse.Namespace) -> int:
     if not len(flight.time):
         print("it was never let go: the motors did not carry the vehicle")
     else:
-        print(f"rms lean {1e3 * rms(flight.lean):.1f} mm, rms error of height {flight.height_error} mm")
+        print(f"rms lean {1e3 * rms(flight.lean[flight.within]):.1f} mm, rms error of height {flight.height_error} mm")
         print(flight.refitted())
     print(f"motors after the disarm frame: {'stopped' if stopped else 'STILL TURNING'}; {inner.exchanges} exchanges")
     return 0 if flight.balanced and stopped else 1
@@ -404,16 +366,15 @@ def push(options: argparse.Namespace) -> int:
     print(f"{scenario.description}. Simulated, behind the failsafe, on both inner loops.")
     row("", ["Betaflight", "delay+lag"])
     row("rod up to the end", ["yes" if flight.balanced else "NO" for flight in flights])
-    for one, stop in zip(
-        scenario.pushes, [*(one.start for one in scenario.pushes[1:]), scenario.duration], strict=True
-    ):
+    stops = [*(one.start for one in scenario.pushes[1:]), scenario.duration]
+    for one, stop in zip(scenario.pushes, stops, strict=True):
         lean, distance, settled = zip(*(flight.after_push(one.start, stop) for flight in flights), strict=True)
         size = f"{1e3 * math.hypot(*one.impulse):.1f} mN s at {one.start:g} s"
         row(f"{size}: lean, mm", [1e3 * value for value in lean], ".0f")
         row(f"{size}: distance, mm", [1e3 * value for value in distance], ".0f")
         row(f"{size}: settled in, s", settled, ".2f")
     calm = round(scenario.pushes[0].start * 240)
-    row("lean before the pushes, rms mm", [1e3 * rms(flight.lean[:calm]) for flight in flights], ".1f")
+    row("lean before the pushes, rms mm", [1e3 * rms(flight.lean[flight.within][:calm]) for flight in flights], ".1f")
     row("error of height, rms mm", [flight.height_error for flight in flights])
     for axis, name in enumerate(AXES[:2]):
         best = [flight.response(axis) for flight in flights]

@@ -1,39 +1,30 @@
-"""The limit: the Cramer-Rao bound of the length over window, excitation, noise, inertia and what else is known.
+"""The Cramer-Rao bound of the length over window, excitation, noise, inertia and what else is known (docs/studies.md).
 
 A case is one flight with the true length in use; its row has the bound for windows of ``WINDOWS`` seconds, root mean
-square over windows that begin at ``STARTS``. The length is read from how offset and tilt go together as the vehicle
-moves. In windows of 2.5 s (figure 12): a circle flown in 5 s instead of 8 s tells 1.5 times as much; hover, where only
-noise moves the vehicle, five times less than the circle; positions measured five times worse cost five times the
-bound, attitudes next to nothing, as they also follow from the commands; not to know inertia and lag costs an eighth of
-it, and in half a second, where both show as the length does, almost half. Not to know the calibration costs most: the
-bound is 2.4 times as large, and in a second, in which a rod hardly moves beside a constant, nearly 20 times; a circle
-flown in 5 s takes it back. In windows of 10 s it costs nothing any more. ``knowledge``:
+square over windows that begin at ``STARTS``. ``knowledge``:
 
 - ``plant known``: all but the state and the length;
-- ``calibration unknown``: four constants, where markers and body frame sit, as well (``bound.OFFSETS``);
+- ``calibration unknown``: four constants, where markers and body frame sit, as well (``likelihood.CALIBRATION``);
 - ``inertia and lag unknown``: these two as well;
-- ``height measured``: motion capture reports the height of the pendulum's centre of mass too, which is half the length:
-  hundredths of a millimetre, from the first frames on. No estimator here uses it.
+- ``height measured``: motion capture reports the height of the pendulum's centre of mass too.
 
 120 rows, about 4 minutes of one core.
 """
 
 import itertools
 import math
-from functools import cache
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION
-from fiplib.params import NANO, Params
-from fiplib.recording import Flight
+from fiplib.params import NANO
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Facts
-from fiplib.simulate import Scenario, fly
-from fiplib.studies.landscapes import EXCITATIONS, RODS
+from fiplib.studies.landscapes import EXCITATIONS, RODS, flown
 
 KEYS = ("excitation", "rod", "noise", "knowledge")
 
@@ -46,7 +37,7 @@ KNOWLEDGE = {
     "inertia and lag unknown": (("inertia_factor", "rate_lag"), False),
     "height measured": ((), True),
 }
-"""Arguments of ``bound.cramer_rao``: nuisances, and whether the height is measured."""
+"""Arguments of ``cramer_rao.cramer_rao``: nuisances, and whether the height is measured."""
 
 WINDOWS = (0.25, 0.5, 1.0, 2.5, 5.5, 10.0)
 STARTS = (6.0, 8.0, 10.0)
@@ -64,7 +55,7 @@ def run(case: dict) -> dict[str, float]:
     Returns:
         ``bound_SECONDS``: the bound in m for a window of so many seconds.
     """
-    flight = flown(case["excitation"], case["rod"])
+    flight = flown(case["excitation"], RODS[case["rod"]], 1, math.ceil(max(STARTS) + max(WINDOWS)) + 1.0)
     position, attitude = NOISES[case["noise"]]
     params = flight.params.replace(
         simulation__position_noise=position * flight.params.simulation.position_noise,
@@ -80,16 +71,11 @@ def run(case: dict) -> dict[str, float]:
     return {f"bound_{seconds:g}": float(mean) for seconds, mean in zip(WINDOWS, means, strict=True)}
 
 
-@cache
-def flown(excitation: str, rod: str) -> Flight:
-    """A simulated flight with the true length; the same whatever is measured of it. Raises RuntimeError if it falls."""
-    params = Params().replace(pendulum__gyration_ratio=RODS[rod])
-    seconds = math.ceil(max(STARTS) + max(WINDOWS)) + 1.0
-    scenario = Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=1)
-    flight = fly(scenario)
-    if not flight.survived:
-        raise RuntimeError(f"the rod fell on {excitation}")
-    return flight
+def _row(rows: Rows, changes: dict[str, str]) -> dict[str, Any]:
+    """The row of the usual case, but for ``changes``."""
+    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
+    [row] = [row for row in rows if (usual | changes).items() <= row.items()]
+    return row
 
 
 def fig12_bound(rows: Rows) -> Figure:
@@ -97,9 +83,7 @@ def fig12_bound(rows: Rows) -> Figure:
     figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
     # curves fill the panels: their names have a row of their own
     panels, names = figure.subplots(2, 2, sharex="row", sharey="row", height_ratios=(2.6, 1.0))
-    cells = {tuple(row[key] for key in ("excitation", "rod", "noise", "knowledge")): row for row in rows}
     windows = [float(name.removeprefix("bound_")) for name in rows[0] if name.startswith("bound_")]
-    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
     curves = (
         (0, {}, "0.4 m, 8 s", BLUE, "-"),
         (0, {"excitation": "circle 0.4 m / 5 s"}, "0.4 m, 5 s", GREEN, "--"),
@@ -112,7 +96,7 @@ def fig12_bound(rows: Rows) -> Figure:
         (1, {"knowledge": "calibration unknown"}, "calibration unknown", "black", (0, (6, 1.5))),
     )
     for panel, changes, label, colour, dashes in curves:
-        row = cells[tuple((usual | changes).values())]
+        row = _row(rows, changes)
         bounds = [1e3 * row[f"bound_{seconds:g}"] for seconds in windows]
         panels[panel].loglog(windows, bounds, ls=dashes, color=colour, label=label)
     for axes, below in zip(panels, names, strict=True):
@@ -130,9 +114,7 @@ def fig12_bound(rows: Rows) -> Figure:
 
 def facts(rows: Rows) -> Facts:
     """Return the bounds in windows of 2.5 s, mm, that the report states."""
-    found: Facts = {}
-    usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
-    for name, changes in {
+    named = {
         "usual": {},
         "hover": {"excitation": "hover"},
         "fast": {"excitation": "circle 0.4 m / 5 s"},
@@ -141,7 +123,5 @@ def facts(rows: Rows) -> Facts:
         "calibration": {"knowledge": "calibration unknown"},
         "unknown": {"knowledge": "inertia and lag unknown"},
         "height": {"knowledge": "height measured"},
-    }.items():
-        [row] = [row for row in rows if (usual | changes).items() <= row.items()]
-        found[name,] = f"{1e3 * row['bound_2.5']:.2g}"
-    return found
+    }
+    return {(name,): f"{1e3 * _row(rows, changes)['bound_2.5']:.2g}" for name, changes in named.items()}

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fiplib import replay
+from fiplib.batch import fly_many
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import cramer_rao, motion
@@ -32,7 +32,7 @@ from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 
@@ -114,7 +114,7 @@ def summarise(answers: list[Estimate], truth: float) -> dict[str, float | int]:
         "n": len(given),
         "refused": len(answers) - len(given),
         "bias": float(errors.mean()) if given else math.nan,
-        "rms": float(np.sqrt(np.mean(errors**2))) if given else math.nan,
+        "rms": measures.rms(errors),
         "worst": float(np.abs(errors).max()) if given else math.nan,
         "covered": int(np.count_nonzero(np.abs(errors) <= Z95 * deviations)) if stated else math.nan,
         "sd": float(np.nanmean(deviations)) if stated else math.nan,
@@ -129,12 +129,12 @@ def _flown(case: dict) -> Flight:
     kind = case["excitation"]
     # a stretch of seeds for each kind of flight, so that no two share their noise; none that a recorded scenario flies
     first = 10_000 * (1 + list(EXCITATIONS).index(kind)) + (5_000 if case["gyration_ratio"] > 0 else 0)
-    return fly(Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed))
+    return next(fly_many([Scenario(kind, "", DURATION, EXCITATIONS[kind], params=params, seed=first + seed)]))
 
 
 def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, ...]) -> float:
     bounds = [cramer_rao(motion(flight, end - round(seconds * NANO), end), flight.params, unknown)[-1] for end in ends]
-    return float(np.sqrt(np.mean(np.square(bounds)))) if bounds else math.nan
+    return measures.rms(bounds)
 
 
 LABELS = {
@@ -170,13 +170,18 @@ def pooled(rows: Rows, name: str) -> Pooled:
     answered = [row for row in rows if row[f"n_{name}"] > 0]
     if not answered:
         return Pooled(0, math.nan, math.nan, math.nan, math.nan)
-    columns = ("n", "bias", "rms", "bound", "covered")
-    n, bias, rms, bound, covered = np.array(
-        [[row.get(f"{column}_{name}", math.nan) for column in columns] for row in answered]
-    ).T
+    n, bias, rms, bound, covered = (
+        np.array([row.get(f"{column}_{name}", math.nan) for row in answered])
+        for column in ("n", "bias", "rms", "bound", "covered")
+    )
     total = n.sum()
     squares = (float(np.sqrt(n @ values**2 / total)) for values in (rms, bound))
     return Pooled(int(total), float(n @ bias / total), *squares, float(covered.sum() / total))
+
+
+def circling(rows: Rows, uniform: bool) -> Rows:
+    """The flights of the paper's 0.4 m circle with a uniform rod, or with a point mass."""
+    return [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == uniform]
 
 
 def fig9_estimators(rows: Rows) -> Figure:
@@ -184,9 +189,8 @@ def fig9_estimators(rows: Rows) -> Figure:
     figure = Figure(figsize=(COLUMN, 3.0), layout="constrained")
     axes = figure.subplots()
     names = list(LABELS)
-    for ratio, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
-        chosen = [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == ratio]
-        found = [pooled(chosen, name) for name in names]
+    for uniform, marker, colour, label in ((True, "o", BLUE, "uniform rod"), (False, "D", ORANGE, "point mass")):
+        found = [pooled(circling(rows, uniform), name) for name in names]
         axes.plot([one.rms / one.bound for one in found], range(len(names)), marker, color=colour, ms=4, label=label)
     axes.axvline(1.0, color="black", lw=0.6)
     axes.axvline(1.2, color="black", lw=0.6, ls="--", label="target, 1.2")
@@ -203,7 +207,12 @@ def fig10_intervals(flight: Flight) -> Figure:
     """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
     figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
     axes = figure.subplots()
-    times, lengths, deviations = _estimates(flight)
+    found = []
+    for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
+        estimate = maximum_likelihood(window, flight.params)
+        if estimate.reason is None:
+            found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
+    times, lengths, deviations = np.array(found).T
     recorded = flight.length.values[1:, 1]
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
     axes.errorbar(
@@ -216,19 +225,9 @@ def fig10_intervals(flight: Flight) -> Figure:
     return figure
 
 
-def _estimates(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
-    """Times (s), maximum-likelihood lengths and standard deviations (m), a window each half second of a flight."""
-    found = []
-    for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
-        estimate = maximum_likelihood(window, flight.params)
-        if estimate.reason is None:
-            found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
-    return tuple(np.array(found).T)
-
-
 def table4_estimators(rows: Rows) -> Table:
     """Table 4: every estimator on the 0.4 m circle with a uniform rod, pooled over the windows of all flights."""
-    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
+    chosen = circling(rows, uniform=True)
     lines = []
     for name, label in LABELS.items():
         found = pooled(chosen, name)
@@ -244,7 +243,7 @@ def table4_estimators(rows: Rows) -> Table:
 def facts(rows: Rows) -> Facts:
     """Return what the report states of five estimators on the paper's excitation."""
     found: Facts = {}
-    chosen = [row for row in rows if row["excitation"] == "circle-0.4" and row["gyration_ratio"] > 0]
+    chosen = circling(rows, uniform=True)
     for name in ("maximum_likelihood", "maximum_likelihood_calibrated", "maximum_likelihood_free", "ga", "grid"):
         one = pooled(chosen, name)
         found |= {

@@ -1,18 +1,9 @@
-"""What becomes of an estimate when the vehicle and its laboratory are not quite what the estimator is told.
+"""How estimates suffer when the vehicle and its laboratory differ from what the estimator presumes.
 
-The bound, and with it every comparison of the study ``estimators``, presumes that all but the state and the length
-is known exactly. Here one thing at a time is not, by as much as one meets in a laboratory, and then all of them
-together: commands come late and unevenly, the inner loop has more lag or a gain of its own, air pushes, the battery
-sags, a marker sits beside where it is said to sit. One case is one flight of the 0.4 m circle with a uniform rod; its
-columns are those of the study ``estimators``, without the bounds, for each estimator in ``NAMES``.
-
-What was seen (table 11): calibration must be known far better than laboratories know it before it may be taken for
-exact. Then the error is 1.3 mm; with a marker a tenth of a millimetre beside its place it is 9 mm, six deviations of
-those stated, with one a millimetre beside it 90 mm, and a body frame turned by half a degree is refused outright. The
-paper's estimator takes it for exact too: that half degree costs it 0.16 m. The recommended one, to which these are
-unknowns, has 4 mm (6 mm with a wrong gain), answers every window, and its intervals hold in every row.
-
-220 rows, about 12 minutes of two cores.
+The study ``estimators`` presumes that all but the state and the length is known exactly. Here one thing at a time is
+not, by as much as one meets in a laboratory, and then all of them together. One case is one flight of the 0.4 m circle
+with a uniform rod; its columns are those of ``estimators``, without the bounds, for each estimator in ``NAMES``. What
+was seen: docs/studies.md. 220 rows, about 12 minutes of two cores.
 """
 
 from dataclasses import dataclass, replace
@@ -142,9 +133,9 @@ def table11_imperfections(rows: Rows) -> Table:
     for name in IMPERFECTIONS:
         chosen = [row for row in rows if row["imperfection"] == name]
         cells = [number(1e3 * pooled(chosen, "ga").rms, 0)]
-        for estimator in ("maximum_likelihood_calibrated", "maximum_likelihood"):
+        for estimator in NAMES[1:]:
             found = pooled(chosen, estimator)
-            cells.append(f"{100 * found.windows / _given(chosen, estimator):.0f}")
+            cells.append(_answered(chosen, estimator))
             cells += [number(1e3 * found.rms, 1), f"{100 * found.covered:.0f}"] if found.windows else [NONE, NONE]
         lines.append((name.replace("%", r"\%"), *cells))
     header = ("Imperfection", "GA: RMSE (mm)")
@@ -153,23 +144,21 @@ def table11_imperfections(rows: Rows) -> Table:
     return Table(header, lines, "lrrrrrrr")
 
 
-def _given(rows: Rows, name: str) -> float:
-    """How many windows an estimator was given."""
-    return sum(row[f"n_{name}"] + row[f"refused_{name}"] for row in rows)
+def _answered(rows: Rows, name: str) -> str:
+    """The share of its windows that an estimator answered, %."""
+    answered, refused = (sum(row[f"{column}_{name}"] for row in rows) for column in ("n", "refused"))
+    return f"{100 * answered / (answered + refused):.0f}"
 
 
 def facts(rows: Rows) -> Facts:
     """Return what the report states of three imperfections."""
     found: Facts = {}
-    for key, kind in {
-        "marker": "marker 0.1 mm off",
-        "turned": "frame turned by 0.5 deg",
-        "all": "all of them",
-    }.items():
+    kinds = {"marker": "marker 0.1 mm off", "turned": "frame turned by 0.5 deg", "all": "all of them"}
+    for key, kind in kinds.items():
         chosen = [row for row in rows if row["imperfection"] == kind]
-        for name in ("ga", "maximum_likelihood_calibrated", "maximum_likelihood"):
+        for name in NAMES:
             one = pooled(chosen, name)
-            found[key, name, "answered"] = f"{100 * one.windows / _given(chosen, name):.0f}"
+            found[key, name, "answered"] = _answered(chosen, name)
             if one.windows:
                 found[key, name, "rms"] = f"{1e3 * one.rms:.1f}"
                 found[key, name, "covered"] = f"{100 * one.covered:.0f}"

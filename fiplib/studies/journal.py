@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fiplib.reproduction.sources import JournalError
+from fiplib.reproduction.sources import JournalError, csv_text
 
 
 def text(value: Any) -> str:
@@ -20,12 +20,6 @@ def text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.9g}"
     return str(int(value) if isinstance(value, bool) else value).replace("\n", " ")  # a row is a line
-
-
-def _line(values: Iterable[str]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(values)
-    return buffer.getvalue()
 
 
 class Journal:
@@ -45,7 +39,7 @@ class Journal:
         self.columns: list[str] = []
         self.rows: dict[tuple[str, ...], str] = {}
         self._keys = list(keys)
-        self._journal: io.TextIOBase | None = None
+        self._begun = False
         for file in (self.path, self.partial):
             if fresh:
                 file.unlink(missing_ok=True)
@@ -61,7 +55,7 @@ class Journal:
         self._check(rows[0], file)
         if any(len(row) != len(self.columns) for row in rows):
             raise JournalError(f"{file} is damaged: not every row has {len(self.columns)} columns; --fresh starts anew")
-        self.rows.update({tuple(row[: len(self._keys)]): _line(row) for row in rows[1:]})
+        self.rows.update({tuple(row[: len(self._keys)]): csv_text([row]) for row in rows[1:]})
 
     def _check(self, columns: list[str], source: object) -> None:
         expected = self.columns or [*self._keys, *columns[len(self._keys) :]]
@@ -84,37 +78,27 @@ class Journal:
         """
         self._check([*self._keys, *result], f"the result of case {named(case)}")
         key = self.key(case)
-        self.rows[key] = _line([*key, *map(text, result.values())])
-        if self._journal is None:
-            self._open()
-        self._journal.write(self.rows[key])
-        self._journal.flush()
-
-    def _open(self) -> None:
+        self.rows[key] = csv_text([[*key, *map(text, result.values())]])
         self.partial.parent.mkdir(parents=True, exist_ok=True)
-        with open(self.partial, "ab+") as file:
-            file.seek(0)
-            content = file.read()
-            file.truncate(content.rfind(b"\n") + 1)  # without the line that a kill has torn
-        self._journal = open(self.partial, "a", encoding="utf-8", newline="")
-        if b"\n" not in content:
-            self._journal.write(_line(self.columns))
+        with self.partial.open("ab+") as file:
+            if not self._begun:
+                file.seek(0)
+                content = file.read()
+                file.truncate(content.rfind(b"\n") + 1)  # without the line that a kill has torn
+                if b"\n" not in content:
+                    file.write(csv_text([self.columns]).encode())
+                self._begun = True
+            file.write(self.rows[key].encode())
 
     def complete(self, cases: Iterable[dict]) -> None:
         """Write the table with the rows of ``cases``, in this order, and no others; an unchanged file is left alone."""
-        content = (_line(self.columns) + "".join(self.rows[self.key(case)] for case in cases)).encode()
-        self.close()
+        content = (csv_text([self.columns]) + "".join(self.rows[self.key(case)] for case in cases)).encode()
         if not self.path.exists() or self.path.read_bytes() != content:
             temporary = self.path.with_suffix(".new")
             temporary.write_bytes(content)
             os.replace(temporary, self.path)
         self.partial.unlink(missing_ok=True)
-
-    def close(self) -> None:
-        """Let go of the file."""
-        if self._journal is not None:
-            self._journal.close()
-            self._journal = None
+        self._begun = False
 
     def holds(self, cases: Iterable[dict]) -> int:
         """How many of the cases it holds."""

@@ -17,15 +17,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import kalman, replay
+from fiplib.batch import fly_many
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
-from fiplib.params import A_DOT, AXES, NANO, Estimation, Params
+from fiplib.params import A_DOT, B_DOT, NANO, Estimation, Params
 from fiplib.pilot import Circle, Hover, Reference
 from fiplib.recording import Flight
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Table, number
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""
@@ -102,21 +103,17 @@ def params_of(case: dict[str, Any]) -> Params:
 
     Q_e is the variance that a sampling period adds: it is taken in proportion to the period.
     """
-    default = Params()
-    process, measurement = (
-        tuple(variance * factor for variance in noise)
-        for noise, factor in zip(
-            (default.estimation.process_noise, default.estimation.measurement_noise), NOISES[case["noise"]], strict=True
-        )
-    )
+    default, factors = Params(), NOISES[case["noise"]]
+    process = np.multiply(default.estimation.process_noise, factors[0])
+    measurement = np.multiply(default.estimation.measurement_noise, factors[1])
     if case["noise"] == "identity":
-        process = measurement = (1.0,) * len(process)
+        process = measurement = np.ones(len(process))
     elongation = 1.0 / case["rate"] / default.estimation.sample_period
     return default.replace(
         pendulum__gyration_ratio=RODS[case["rod"]],
         estimation__fitness=case["reading"],
-        estimation__process_noise=tuple(variance * elongation for variance in process),
-        estimation__measurement_noise=measurement,
+        estimation__process_noise=tuple((process * elongation).tolist()),
+        estimation__measurement_noise=tuple(measurement.tolist()),
         estimation__window=case["samples"],
         estimation__sample_period=1.0 / case["rate"],
     )
@@ -127,7 +124,7 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
-        flight = flown(excitation, params.pendulum.gyration_ratio, seed)
+        flight = flown(excitation, params.pendulum.gyration_ratio, seed, ENDS[-1] + 0.5)
         known = replay.windows(flight, often)
         seconds = np.array([window.stamp - flight.start_ns for window in known]) / NANO
         chosen += [known[np.abs(seconds - end).argmin()].window for end in ENDS]
@@ -135,44 +132,26 @@ def windows_of(excitation: str, params: Params) -> list[Window]:
 
 
 @cache
-def flown(excitation: str, gyration_ratio: float, seed: int) -> Flight:
-    """A simulated flight with the true length; the same for all that is varied in the estimator.
-
-    Raises:
-        RuntimeError: the rod fell.
-    """
+def flown(excitation: str, gyration_ratio: float, seed: int, seconds: float) -> Flight:
+    """A simulated flight with the true length; the same whatever is varied in the estimator. Raises RuntimeError if the
+    rod falls."""
     params = Params().replace(pendulum__gyration_ratio=gyration_ratio)
-    scenario = Scenario(excitation, excitation, ENDS[-1] + 0.5, EXCITATIONS[excitation], params=params, seed=seed)
-    flight = fly(scenario)
+    [flight] = fly_many([Scenario(excitation, "", seconds, EXCITATIONS[excitation], params=params, seed=seed)])
     if not flight.survived:
         raise RuntimeError(f"the rod fell on {excitation}, seed {seed}")
     return flight
 
 
 def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArray, NDArray]:
-    """Lengths (C,) in m and their fitness on each of W windows of one size, (W, C): ``ga.landscape`` of all at once.
-
-    The gains do not depend on the data: a chunk of lengths computes them once for all windows.
-    """
+    """Lengths (C,) in m and their fitness on each of W windows, (W, C): ``ga.landscape`` of all."""
     chromosome = Chromosome.of(estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
-    fitness = np.empty((len(windows), len(lengths)))
-    for start in range(0, len(lengths), kalman.CHUNK):
-        part = slice(start, start + kalman.CHUNK)
-        gain = kalman.gains(lengths[part], len(windows[0].states), windows[0].step, estimation)
-        for row, window in zip(fitness, windows, strict=True):
-            row[part] = kalman.score(gain, window, estimation)
+    fitness = np.array([kalman.fitness(lengths, window, estimation) for window in windows])
     return lengths, fitness
 
 
 def summary(lengths: NDArray, fitness: NDArray, true: float, likelihood: bool) -> dict[str, float]:
-    """What W landscapes say together.
-
-    Args:
-        lengths: evenly spaced candidates in m, (C,).
-        fitness: one landscape per row, (W, C).
-        true: the true length in m.
-        likelihood: whether the fitness is -2 log L.
+    """What W landscapes ``fitness`` (W, C) of evenly spaced ``lengths`` (C,) in m say together; ``true`` in m.
 
     Returns:
         ``bias`` and ``spread``: mean error and standard deviation of the best lengths, m.
@@ -209,10 +188,9 @@ def acceleration_kept(lengths: NDArray, window: Window, estimation: Estimation) 
     The diagonal element of I - K = R S^-1, averaged over the samples of the window and the two axes. Where it is near
     0 the posterior follows the measurement and the residual no longer sees the length.
     """
-    row = AXES[0].states.index(A_DOT)
-    noise = [estimation.measurement_noise[axis.states[row]] for axis in AXES]
-    information = kalman.gains(lengths, len(window.states), window.step, estimation).information[..., row, row]
-    return (information * noise[: information.shape[-1]]).mean(axis=(0, 2))
+    rows = np.array([A_DOT, B_DOT])
+    information = np.linalg.inv(kalman.filter_window(lengths, window, estimation).covariances)[..., rows, rows]
+    return (information * np.array(estimation.measurement_noise)[rows]).mean(axis=(-2, -1))
 
 
 def _curvature_sd(lengths: NDArray, fitness: NDArray, index: int) -> float:
@@ -278,11 +256,8 @@ def fig8_landscapes(curves: Rows) -> Figure:
     titles = {"default": "calibrated covariances", "identity": "$Q_e = R_e = I$"}
     for axes, (noise, title) in zip(panels, titles.items(), strict=True):
         for reading, (label, colour, dashes) in shown.items():
-            points = sorted(
-                (row["length"], row["normalised"])
-                for row in curves
-                if row["reading"] == reading and row["noise"] == noise
-            )
+            here = (row for row in curves if (row["reading"], row["noise"]) == (reading, noise))
+            points = sorted((row["length"], row["normalised"]) for row in here)
             axes.plot(*np.array(points).T, dashes, color=colour, label=label)
             best = min(points, key=lambda point: point[1])
             axes.plot(best[0], best[1], "o", color=colour, ms=4, mec="black", mew=0.4, clip_on=False, zorder=3)
@@ -297,10 +272,9 @@ def fig8_landscapes(curves: Rows) -> Figure:
 def table9_landscapes(rows: Rows) -> Table:
     """Table 9: mean error (standard deviation over windows) of the best of all lengths, in cm, for four readings, as
     one thing at a time differs from the default."""
-    settings = dict.fromkeys(_setting(row) for row in rows)
     cells = {(_setting(row), row["reading"]): row for row in rows}
     lines = []
-    for setting in sorted(settings, key=lambda setting: setting != "default"):
+    for setting in sorted(dict.fromkeys(setting for setting, _ in cells), key=lambda setting: setting != "default"):
         found = [cells[setting, reading] for reading in SHOWN_READINGS]
         errors = (f"{number(100 * row['bias'], 1)} ({100 * row['spread']:.1f})" for row in found)
         lines.append((setting, *errors))
@@ -313,10 +287,8 @@ def _setting(row: dict) -> str:
         return "default"
     noise = str(row["noise"]).replace("Q_e", "$Q_e$").replace("R_e", "$R_e$").replace("*", r"$\times$")
     words = {
-        "excitation": row["excitation"],
         "noise": noise.replace("identity", "$Q_e = R_e = I$"),
         "samples": f"{row['samples']:g} samples",
         "rate": f"{row['rate']:g} Hz",
-        "rod": row["rod"],
     }
-    return str(words[row["factor"]])
+    return words.get(row["factor"], str(row[row["factor"]]))

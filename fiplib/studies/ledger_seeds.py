@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fiplib.batch import fly_many
 from fiplib.params import Y_DOT, Params, Y
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Table, number
-from fiplib.simulate import SCENARIOS, fly
+from fiplib.simulate import SCENARIOS
 from fiplib.studies import seconds_flown
 
 KEYS = ("variant", "scenario", "seed")
@@ -46,12 +47,9 @@ class Variant(NamedTuple):
 
 
 def _y_weights(factor: float) -> dict[str, Any]:
-    weights = Params().control.state_weights
-    return {
-        "control__state_weights": tuple(
-            weight * factor if state in (Y, Y_DOT) else weight for state, weight in enumerate(weights)
-        )
-    }
+    weights = list(Params().control.state_weights)
+    weights[Y], weights[Y_DOT] = factor * weights[Y], factor * weights[Y_DOT]
+    return {"control__state_weights": tuple(weights)}
 
 
 VARIANTS = {
@@ -86,16 +84,16 @@ COLUMNS = tuple(dict.fromkeys(column for rows in ROWS.values() for column in row
 
 def cases() -> list[dict]:
     """The default and the variants of the controller, in their scenarios, over their seeds."""
-    return cases_of(tuple(name for name in VARIANTS if name not in ESTIMATOR))
+    return _cases(of_estimator=False)
 
 
-def cases_of(variants: tuple[str, ...]) -> list[dict]:
-    """The cases of some variants."""
+def _cases(of_estimator: bool) -> list[dict]:
     return [
-        dict(zip(KEYS, (name, scenario, seed), strict=True))
-        for name in variants
-        for scenario in VARIANTS[name].scenarios
-        for seed in range(1, VARIANTS[name].seeds + 1)
+        {"variant": name, "scenario": scenario, "seed": seed}
+        for name, variant in VARIANTS.items()
+        if (name in ESTIMATOR) == of_estimator
+        for scenario in variant.scenarios
+        for seed in range(1, variant.seeds + 1)
     ]
 
 
@@ -108,7 +106,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     """
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     scenario = dataclasses.replace(scenario, params=scenario.params.replace(**variant.changes), seed=case["seed"])
-    flight = fly(scenario)
+    [flight] = fly_many([scenario])
     row = dict.fromkeys((*COLUMNS, "axes", *(f"holds_{column}" for column in COLUMNS)), math.nan)
     row = {"survived": int(flight.survived), "flown": seconds_flown(flight, scenario), **row}
     if flight.survived or scenario.told_lengths:
@@ -140,7 +138,7 @@ class Readings:
     @staticmethod
     def cases() -> list[dict]:
         """Each variant of the estimator from either side of the truth, over its seeds."""
-        return cases_of(ESTIMATOR)
+        return _cases(of_estimator=True)
 
 
 def table5_seeds(rows: Rows) -> Table:
@@ -163,14 +161,14 @@ def table6_readings(default: Rows, readings: Rows) -> Table:
     """Table 6: the length that the estimator's flights come to under other readings of the paper, and its remedy."""
     lines = []
     for variant in ("default", *dict.fromkeys(row["variant"] for row in readings)):
-        for scenario in ("estimate-0.8", "estimate-1.4"):
+        for scenario in STARTS:
             flown = [row for row in (*default, *readings) if row["variant"] == variant and row["scenario"] == scenario]
             lengths = np.array([row["final_length"] for row in flown if math.isfinite(row["final_length"])])
             mean, deviation, error = NONE, NONE, NONE
             if lengths.size:
                 mean, deviation = f"{lengths.mean():.3f}", f"{lengths.std(ddof=1):.3f}"
                 errors = [row["final_error"] for row in flown if math.isfinite(row["final_error"])]
-                error = f"{np.sqrt(np.mean(np.square(errors))):.3f}"
+                error = f"{measures.rms(errors):.3f}"
             up, held = sum(row["survived"] for row in flown), _share([row["holds_final_length"] for row in flown])[1]
             lines.append((variant, scenario[-3:], f"{len(flown)}", f"{up:g}", mean, deviation, error, held))
     header = ("Reading", "$l_0$ (m)", "Flights", "Up", "Mean (m)", "SD (m)", "RMSE (m)", "Row holds")

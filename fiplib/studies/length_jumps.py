@@ -1,24 +1,9 @@
 """G6: how far may the used length jump at once, and what do small steps mend?
 
-On the 0.4 m circle, with the true length of 1 m in use, the pilot is told another length every 0.2 s, as a stream of
-estimates would do: for good (``lasting`` "for good"), or for 2 s and then the true length again ("2 s", an estimator's
-outlier). It takes the length over at once, or by at most ``STEP`` a time (``params.piloting.length_step``).
-
-What steps can and cannot do:
-
-- The plant does not know which length is used: after the last step the loop is the one that it would be after a jump.
-  If that one is unstable (``growth_rate``; why, says ``survival``), steps put the fall off by about as long as they
-  take, and no more. So it is for a uniform rod from 1.7 m on, where it falls 4 to 9 s after a jump, and 4 to 5 s later
-  after steps; and for a point mass at 0.2 m. At 1.6 m the oscillation grows too slowly to be seen in 15 s.
-- On the short side the jump itself does harm: the gain of a triples within a tick, on the lean and the noise of that
-  tick, and the commands grow threefold (``rate_ratio``). Where the linear loop is stable with a margin of a few ms, a
-  rod at 0.2 m and a point mass at 0.3 m, it falls 2 to 4 s after a jump; after steps it flies on for three times as
-  long or stays up.
-- An outlier that does not last is what steps are for: with 0.05 m a time 2 s lead no further than 0.5 m, and every
-  length within 0.5 m flies. At once, 0.2 m is too short for the true length to come back in time; the long side is slow
-  enough, jump or not.
-
-144 rows, about 6 minutes of one core.
+On the 0.4 m circle, with the true length of 1 m in use, the pilot is given another length every 0.2 s, as a stream of
+estimates would do: to the end (``lasting`` "for good"), or for 2 s and then the true length again ("2 s", an
+estimator's outlier). It takes the length over at once, or by at most ``STEP`` a time (``params.piloting.length_step``).
+What steps can and cannot do: docs/studies.md. 144 rows, about 6 minutes of one core.
 """
 
 import itertools
@@ -26,12 +11,13 @@ import math
 
 import numpy as np
 
+from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.survival import RODS
 
@@ -83,7 +69,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     survived, flown, ratios = 0, [], []
     for seed in SEEDS:
         scenario = Scenario("length jump", "", START + SECONDS, CIRCLE, told_lengths=told, params=params, seed=seed)
-        flight = fly(scenario)
+        [flight] = fly_many([scenario])
         survived += flight.survived
         flown.append(seconds_flown(flight, scenario) - START)
         time, rates = flight.time(flight.command), np.square(flight.command.values[:, :2])
@@ -102,20 +88,13 @@ def facts(rows: Rows) -> Facts:
     """Return the shortest and longest length that flies, by rod, change and duration."""
     found: Facts = {}
     flights = max(row["survived"] for row in rows)
-    for rod in ("uniform", "point mass"):
-        for change in ("at once", "in steps"):
-            for lasting in ("for good", "2 s"):
-                kind = {"rod": rod, "change": change, "lasting": lasting}
-                some = [row for row in rows if kind.items() <= row.items()]
-                fell = [row["length"] for row in some if row["survived"] < flights]
-                ends = {
-                    "shortest": min(
-                        r["length"] for r in some if r["length"] > max((x for x in fell if x < 1), default=0)
-                    ),
-                    "longest": max(
-                        r["length"] for r in some if r["length"] < min((x for x in fell if x > 1), default=9)
-                    ),
-                }
-                name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
-                found |= {(*name, end): f"{length:.1f}" for end, length in ends.items()}
+    for kind in itertools.product(("uniform", "point mass"), CHANGES, LASTING):
+        some = [row for row in rows if (row["rod"], row["change"], row["lasting"]) == kind]
+        fell = [row["length"] for row in some if row["survived"] < flights]
+        below = max((length for length in fell if length < TRUE_LENGTH), default=0.0)
+        above = min((length for length in fell if length > TRUE_LENGTH), default=math.inf)
+        flying = [row["length"] for row in some if below < row["length"] < above]
+        rod, change, lasting = kind
+        name = (rod, change, "outlier" if lasting == "2 s" else "lasting")
+        found |= {(*name, "shortest"): f"{min(flying):.1f}", (*name, "longest"): f"{max(flying):.1f}"}
     return found

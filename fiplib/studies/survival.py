@@ -1,36 +1,8 @@
 """Where does the MPC survive a wrong length? Linear stability and simulated survival, side by side.
 
 A case is a length that the MPC uses, the rod's true length and its inertia. A row has what linear theory says of the
-loop (``margins``: delay and lag included, bounds and noise not) and what becomes of flights on the 0.4 m circle.
-
-**Why too short flies and too long falls.** Numbers are for a true length of 1 m, of a uniform rod first, of a point
-mass in brackets.
-
-The MPC believes that the rod falls with sqrt(2 g / l), and answers a accordingly: relative to the gain at l = 1 m, K_a
-is 3.5 at l = 0.2 m, 1.9 at 0.4 m, 0.83 at 1.4 m, 0.70 at 2 m. The gain of s' goes the other way, from 0.47 at 0.2 m to
-1.33 at 2 m; that of the tilt hardly moves (1.26 to 0.95). How much of a wrong K_a and K_a' does the loop bear, all else
-left as it is (``pendulum_low``, ``pendulum_high``)? At l = 1 m from 0.82 to 2.1 times (0.73 to 1.6), and these edges
-are of two kinds:
-
-- *Too much* ends in a fast oscillation, at 15 rad/s, that the delay makes: without it the edge is at 3.3 (2.5), and no
-  length here is too short. A short l raises K_a but also K_a', K_tilt, which damp, and lowers the gains of s and s',
-  which upset the rod; so the loop stays stable down to 0.2 m (0.3 m), far beyond what a larger K_a alone would allow.
-  What it costs is delay margin: 52 ms (31 ms) at l = 1 m, 30 ms (10 ms) at 0.4 m, 4 ms (none) at 0.2 m. With a few ms
-  left, noise and the bound on the rates end the flight within 2 to 4 s.
-- *Too little* ends in a slow oscillation, at 3.6 rad/s, that has nothing to do with delay: without it the edge is in
-  the same place. To move the vehicle, the MPC must first lean the rod against the motion; what s and s' ask for upsets
-  the rod, and K_a must take it up. With the gains of s and s' ten times smaller the edge is at 0.50 (0.49) instead of
-  0.82 (0.73): half is what holds the rod, the rest is what position control costs. With a long l, K_a falls and the
-  gains of s and s' rise, and both go towards this edge. Inertia brings it nearer: the rod answers the seat's motion
-  less (lambda = 3/4), position control asks for as much. So a uniform rod is unstable from l = 1.6 m on, a point mass
-  not even at 2 m; but slowly: the oscillation grows by 0.04 1/s at 1.6 m, by 0.47 1/s at 2 m.
-
-So the short side has the wider range in relative terms, l / true length from 0.2-0.3 to 1.5-2, and a sharp end; the
-long side fades. Weights decide how near the long edge is. With unit weights (Q = I, R = 1) the low edge is at 0.89
-(0.82), K_a is down to 0.74 at l = 1.4 m, and all from 1.2 m (1.4 m) on is unstable. Heavy weights on a and a' (ours)
-move the edge away, at the price of delay margin: 81 ms (56 ms) with unit weights, 52 ms (31 ms) with ours.
-
-190 rows, about 5 minutes of one core.
+loop (``margins``: delay and lag included, bounds and noise not) and what becomes of flights on the 0.4 m circle. Why
+too short a length flies and too long a one falls: docs/studies.md. 190 rows, about 5 minutes of one core.
 """
 
 import itertools
@@ -38,12 +10,13 @@ import itertools
 import numpy as np
 from matplotlib.figure import Figure
 
+from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import COLUMN, origin
-from fiplib.simulate import Scenario, fly
+from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 
 KEYS = ("used_length", "true_length", "rod")
@@ -83,7 +56,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     loop = margins.closed_loop(case["used_length"], params)
     low, high = loop.pendulum_share()
     scenarios = [Scenario("survival", "", SECONDS, CIRCLE, params=params, seed=seed) for seed in SEEDS]
-    flights = [fly(scenario) for scenario in scenarios]
+    flights = list(fly_many(scenarios))
     return {
         "growth_rate": loop.growth_rate,
         "frequency": loop.frequency,

@@ -39,25 +39,20 @@ REPORTED = 10
 """Failed cases that are reported one by one; the rest is counted."""
 
 
-class SweepError(FipError):
-    """A study that cannot be swept."""
-
-
 def load(name: str, address: str) -> tuple[Any, list[dict]]:
     """Import the study at an address; returns it and its cases, sorted by its keys.
 
-    Raises:
-        SweepError: the module cannot be imported, or its cases do not differ in their keys.
+    Raises FipError: the module cannot be imported, or its cases do not differ in their keys.
     """
     try:
         study = studies.load(address)
     except ImportError as error:
-        raise SweepError(f"{name}: the study cannot be imported: {error}") from error
+        raise FipError(f"{name}: the study cannot be imported: {error}") from error
     cases = study.cases()
     if missing := {key for key in study.KEYS for case in cases if key not in case}:
-        raise SweepError(f"{name}: a case lacks its key {', '.join(sorted(missing))}")
+        raise FipError(f"{name}: a case lacks its key {', '.join(sorted(missing))}")
     if len({tuple(text(case[key]) for key in study.KEYS) for case in cases}) < len(cases):
-        raise SweepError(f"{name}: two cases have the same {', '.join(study.KEYS)}")
+        raise FipError(f"{name}: two cases have the same {', '.join(study.KEYS)}")
     # text sorts behind numbers, so that a column may hold both
     return study, sorted(cases, key=lambda case: [(isinstance(case[key], str), case[key]) for key in study.KEYS])
 
@@ -65,24 +60,11 @@ def load(name: str, address: str) -> tuple[Any, list[dict]]:
 def sweep(
     name: str, address: str, journal: Journal, cases: list[dict], client: "Client", limit: int | None = None
 ) -> int:
-    """Run the cases of a study that its journal lacks.
+    """Run those of all ``cases`` of a study that its journal lacks, at most ``limit``; returns how many failed.
 
-    A case that raises is reported and left out; one whose worker died is run again, on another worker.
-
-    Args:
-        name: the study, as messages call it.
-        address: where workers find it, see ``studies.load``.
-        journal: its finished rows; each is added, and safe on disk, as soon as it arrives.
-        cases: all of its cases.
-        client: the cluster.
-        limit: the most cases to run now.
-
-    Returns:
-        How many cases failed.
-
-    Raises:
-        ClusterError: the cluster was lost. What has finished is kept.
-        JournalError: a result has other columns than those before it.
+    A case that raises is reported and left out; one whose worker died is run again, on another worker. A row is added
+    to the journal, and safe on disk, as soon as it arrives. Workers find the study at ``address``, see
+    ``studies.load``. Raises ClusterError: the cluster was lost; JournalError: a result has other columns than before.
     """
     from distributed import KilledWorker, as_completed
 
@@ -97,15 +79,9 @@ def sweep(
             running.update(zip(futures, batch, strict=True))
             completed.update(futures)
 
-    bar = tqdm(
-        total=len(cases),
-        initial=len(cases) - len(todo),
-        desc=name,
-        unit="case",
-        dynamic_ncols=True,
-        mininterval=0.2 if sys.stderr.isatty() else 30.0,  # a log file is not flooded
-    )
-    with bar, contextlib.closing(journal):
+    often = 0.2 if sys.stderr.isatty() else 30.0  # a log file is not flooded
+    counts = {"total": len(cases), "initial": len(cases) - len(todo)}
+    with tqdm(desc=name, unit="case", dynamic_ncols=True, mininterval=often, **counts) as bar:
         submit(list(itertools.islice(waiting, AHEAD)))
         alone = False
         while running:
@@ -116,8 +92,7 @@ def sweep(
                 bar.update()
             elif future.status != "error":
                 # the worker died with the only copy of the result, unless there is nobody left to ask
-                if not _reachable(client):
-                    raise ClusterError(f"{name}: the scheduler is gone")
+                _workers(client, name)
                 submit([case])
                 continue
             elif isinstance(result[1], KilledWorker) and not alone:
@@ -136,12 +111,13 @@ def sweep(
     return failed
 
 
-def _reachable(client: "Client") -> bool:
-    try:
-        client.nthreads()
-    except OSError:
-        return False
-    return client.status == "running"
+def _workers(client: "Client", name: str) -> dict[str, int]:
+    """Threads by worker; raises ClusterError when the scheduler is gone."""
+    with contextlib.suppress(OSError):
+        workers = client.nthreads()
+        if client.status == "running":
+            return workers
+    raise ClusterError(f"{name}: the scheduler is gone")
 
 
 def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
@@ -150,11 +126,7 @@ def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
     while not completed.has_ready():
         time.sleep(0.02)
         if time.monotonic() > alive + cluster.PATIENCE / 2:
-            try:
-                workers = client.nthreads()
-            except OSError as error:
-                raise ClusterError(f"{name}: the scheduler is gone") from error
-            if workers:
+            if _workers(client, name):
                 alive = time.monotonic()
             elif time.monotonic() > alive + cluster.PATIENCE:
                 raise ClusterError(f"{name}: every worker is gone")
@@ -179,12 +151,9 @@ def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str] = st
     parser.add_argument("--list", action="store_true", help="say what the studies are, and stop")
     parser.add_argument("--limit", type=int, metavar="N", help="run at most N cases of each study, as a trial")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of the local cluster; default: one a core")
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        default=os.environ.get("DASK_SCHEDULER_ADDRESS"),
-        help="use the Dask scheduler that runs there, like tcp://host:8786; default: $DASK_SCHEDULER_ADDRESS",
-    )
+    there = "use the Dask scheduler that runs there, like tcp://host:8786; default: $DASK_SCHEDULER_ADDRESS"
+    default = os.environ.get("DASK_SCHEDULER_ADDRESS")
+    parser.add_argument("--scheduler", metavar="ADDRESS", default=default, help=there)
     parser.add_argument("--fresh", action="store_true", help="forget the rows of these studies and start anew")
     parser.add_argument("--data", type=Path, default=DIRECTORY, metavar="FOLDER", help="default: %(default)s")
 
@@ -192,30 +161,29 @@ def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str] = st
 def run(options: argparse.Namespace, known: Mapping[str, str] = studies.STUDIES) -> int:
     """Run those of the studies ``known`` that are asked for; return the exit status: 1 if a case failed.
 
-    Raises:
-        SweepError, ClusterError, JournalError: a mistake of the user, or a cluster that was lost.
+    Raises FipError, ClusterError, JournalError: a mistake of the user, or a cluster that was lost.
     """
     names = list(known) if options.all or options.list else list(dict.fromkeys(options.names))
     if unknown := [name for name in names if name not in known]:
-        raise SweepError(f"unknown study {', '.join(unknown)}; there are {', '.join(known)}")
+        raise FipError(f"unknown study {', '.join(unknown)}; there are {', '.join(known)}")
     if not names:
-        raise SweepError(f"name a study ({', '.join(known)}), or --all")
+        raise FipError(f"name a study ({', '.join(known)}), or --all")
     for option, value in (("limit", options.limit), ("workers", options.workers)):
         if value is not None and value < 1:
-            raise SweepError(f"--{option} must be at least 1")
+            raise FipError(f"--{option} must be at least 1")
     loaded = {name: load(name, known[name]) for name in names}
     if options.list:
         for name, (study, cases) in loaded.items():
             print(f"{name:18}{len(cases):6} cases  {study.__doc__.splitlines()[0]}")
         return 0
-    journals = {
-        name: Journal(options.data / f"{name}.csv", study.KEYS, options.fresh) for name, (study, _) in loaded.items()
-    }
-    idle = all(journals[name].holds(cases) == len(cases) for name, (_, cases) in loaded.items())
+    jobs = [
+        (name, Journal(options.data / f"{name}.csv", study.KEYS, options.fresh), cases)
+        for name, (study, cases) in loaded.items()
+    ]
+    idle = all(journal.holds(cases) == len(cases) for _, journal, cases in jobs)
     failed = 0
     with contextlib.nullcontext() if idle else cluster.connect(options.scheduler, options.workers) as client:
-        for name, (_, cases) in loaded.items():
-            journal = journals[name]
+        for name, journal, cases in jobs:
             try:
                 if client is not None:
                     failed += sweep(name, known[name], journal, cases, client, options.limit)
@@ -227,4 +195,4 @@ def run(options: argparse.Namespace, known: Mapping[str, str] = studies.STUDIES)
                 else:
                     again = "the same command without --fresh" if options.fresh else "the same command"
                     print(f"{name}: {done} of {len(cases)} cases are kept; {again} goes on from there", file=sys.stderr)
-    return 1 if failed else 0
+    return int(failed > 0)

@@ -3,13 +3,13 @@
 import base64
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from io import BytesIO
-from typing import Any
+from string import Template
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.animation import AbstractMovieWriter, FuncAnimation
+from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -32,69 +32,59 @@ TRAIL = 2.0
 def animation(flight: Flight, frames_per_second: float = 10.0) -> FuncAnimation:
     """Vehicle, rod and track in space; offset of the rod and length in use over time, with a cursor.
 
-    Only the two motion-capture poses are needed; the length is drawn where the flight carries one.
-
-    Args:
-        flight: a recorded flight.
-        frames_per_second: of the animation, which runs in real time.
-
-    Returns:
-        The animation; its ``save`` makes a film.
-
-    Raises:
-        ValueError: ``frames_per_second`` is not a positive number.
+    Only the two motion-capture poses are needed; the length is drawn where the flight carries one. The animation runs
+    in real time; its ``save`` makes a film. Raises ValueError: ``frames_per_second`` is not a positive number.
     """
+    figure, show, times = _staged(flight, frames_per_second)
+    return FuncAnimation(figure, show, frames=times, interval=1e3 / frames_per_second, cache_frame_data=False)
+
+
+def _staged(flight: Flight, frames_per_second: float) -> tuple[Figure, Callable[[float], list], NDArray]:
+    """The figure, what moves it to a time, and the times (n,) of its frames, s."""
     if not 0 < frames_per_second < np.inf:
         raise ValueError(f"frames_per_second must be a number > 0, not {frames_per_second!r}")
-    times = np.arange(0.0, flight.duration + 1e-9, 1.0 / frames_per_second)
     with mpl.rc_context(LOOK):
         figure = Figure(figsize=(6.4, 3.3), dpi=80)
         FigureCanvasAgg(figure)
         space = figure.add_axes((-0.01, 0.03, 0.54, 0.96), projection="3d")
-        scene = Scene(space, flight)
+        move = _scene(space, flight)
         cursors = _instruments([figure.add_axes((0.62, low, 0.36, 0.36)) for low in (0.57, 0.13)], flight)
         origin(figure, f"{flight.metadata['origin']}, {flight.path.name}", y=0.995)
 
     def show(time: float) -> list:
         for cursor in cursors:
             cursor.set_xdata([time, time])
-        return [*scene.show(time), *cursors]
+        return [*move(time), *cursors]
 
-    return FuncAnimation(figure, show, frames=times, interval=1e3 / frames_per_second, cache_frame_data=False)
+    return figure, show, np.arange(0.0, flight.duration + 1e-9, 1.0 / frames_per_second)
 
 
 def player(flight: Flight, frames_per_second: float = 10.0, dots_per_inch: float = 90.0) -> str:
     """``animation`` as a piece of HTML with a button and a slider, which plays by itself.
 
-    Everything is inside: no film codec, and no icons from the network, which matplotlib's own player fetches.
-
-    Args:
-        flight: a recorded flight.
-        frames_per_second: of the animation, which runs in real time; about 15 kB each.
-        dots_per_inch: resolution of its pictures.
-
-    Raises:
-        ValueError: ``frames_per_second`` is not a positive number.
+    Everything is inside: no film codec, and no icons from the network, which matplotlib's own player fetches. A frame
+    takes about 15 kB: few colours, a quarter of the size. Raises ValueError as ``animation``.
     """
-    made, writer = animation(flight, frames_per_second), _Frames(fps=frames_per_second)
-    with mpl.rc_context(LOOK):
-        made.save("frames", writer=writer, dpi=dots_per_inch)
-    name = "flight-" + hashlib.sha256("".join(writer.frames).encode()).hexdigest()[:12]
-    values = {"NAME": name, "FRAMES": json.dumps(writer.frames), "LAST": len(writer.frames) - 1, "FPS": writer.fps}
-    page = PLAYER
-    for word, value in values.items():
-        page = page.replace(f"${word}$", str(value))
-    return page
+    (figure, show, times), frames = _staged(flight, frames_per_second), list[str]()
+    for time in times:
+        show(time)
+        whole, small = BytesIO(), BytesIO()
+        with mpl.rc_context(LOOK):
+            figure.savefig(whole, dpi=dots_per_inch)
+        Image.open(whole).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+        frames.append(base64.b64encode(small.getvalue()).decode())
+    name = "flight-" + hashlib.sha256("".join(frames).encode()).hexdigest()[:12]
+    return PLAYER.substitute(NAME=name, FRAMES=json.dumps(frames), LAST=len(frames) - 1, FPS=frames_per_second)
 
 
-PLAYER = """<div id="$NAME$" style="max-width: 100%">
+PLAYER = Template("""<div id="$NAME" style="max-width: 100%">
 <img alt="animation of the flight" style="max-width: 100%; display: block">
 <button type="button" style="width: 5em">pause</button>
-<input type="range" min="0" max="$LAST$" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
+<input type="range" min="0" max="$LAST" value="0" aria-label="time" style="width: 60%; vertical-align: middle">
 </div>
 <script>
 (function start(tries) {
-  const frames = $FRAMES$, place = document.getElementById("$NAME$");
+  const frames = $FRAMES, place = document.getElementById("$NAME");
   // JupyterLab runs this before it puts the picture on the page
   if (!place) { if (tries) setTimeout(start, 100, tries - 1); return; }
   const [picture, button, slider] = ["img", "button", "input"].map(tag => place.querySelector(tag));
@@ -106,41 +96,17 @@ PLAYER = """<div id="$NAME$" style="max-width: 100%">
   const timer = setInterval(() => {
     if (!place.isConnected) { clearInterval(timer); return; }
     if (playing) { slider.value = (+slider.value + 1) % frames.length; show(); }
-  }, 1000 / $FPS$);
+  }, 1000 / $FPS);
   show();
 })(50);
 </script>
-"""
-
-
-class _Frames(AbstractMovieWriter):
-    """Keeps the pictures as PNG in base64, with few colours: a quarter of the size."""
-
-    def setup(self, fig: Figure, outfile: str, dpi: float | None = None) -> None:
-        super().setup(fig, outfile, dpi)
-        self.frames: list[str] = []
-
-    def grab_frame(self, **_: Any) -> None:
-        whole, small = BytesIO(), BytesIO()
-        self.fig.savefig(whole, dpi=self.dpi)
-        Image.open(whole).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
-        self.frames.append(base64.b64encode(small.getvalue()).decode())
-
-    def finish(self) -> None:
-        pass
+""")
 
 
 def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, scale: float = 1.0) -> list[NDArray]:
-    """Two arms and four propeller circles in the world, to scale or enlarged.
+    """Two arms and four propeller circles in the world, to scale or enlarged: lines, each (n, 3) in m.
 
-    Args:
-        position: (3,) m, centre of the vehicle.
-        orientation: quaternion x, y, z, w.
-        vehicle: its wheelbase and propellers.
-        scale: by how much to enlarge it.
-
-    Returns:
-        Lines, each (n, 3) in m.
+    ``position`` (3,) in m is the centre of the vehicle, ``orientation`` its quaternion as x, y, z, w.
     """
     motors = vehicle.wheelbase / np.sqrt(8) * np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]])
     angle = np.linspace(0, 2 * np.pi, 25)
@@ -150,42 +116,33 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
     return [position + turn.apply(scale * line) for line in body]
 
 
-class Scene:
-    """Vehicle and rod of a flight in 3-D axes, and the shadow of the vehicle on the floor of the picture.
+def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
+    """Vehicle, its shadow on the floor, and rod in 3-D axes; returns what moves them to a time in s."""
+    times, seats, coms = _joined(flight)
+    floor = _frame(axes, np.concatenate([seats, 2 * coms - seats]))
+    axes.plot(*seats[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)
+    (trail,) = axes.plot([], [], [], color=BLUE, lw=0.8, label="track")
+    (shadow,) = axes.plot([], [], [], "o", color=GREY, ms=3)
+    (rod,) = axes.plot([], [], [], color="black", lw=1.8, solid_capstyle="round", label="rod")
+    (dot,) = axes.plot([], [], [], "o", color=ORANGE, ms=3.5, label="centre of mass")
+    body = [axes.plot([], [], [], color=BLUE, lw=1.2)[0] for _ in range(6)]
+    clock = axes.text2D(0.03, 0.95, "", transform=axes.transAxes)
+    axes.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.05, 1.0))
 
-    Args:
-        axes: three-dimensional axes.
-        flight: a recorded flight.
-    """
-
-    def __init__(self, axes: Axes3D, flight: Flight) -> None:
-        self._axes, self._flight, self._vehicle = axes, flight, flight.params.vehicle
-        self._times, self._seat, self._com = _joined(flight)
-        tips = 2 * self._com - self._seat
-        self._floor = _frame(axes, np.concatenate([self._seat, tips]))
-        axes.plot(*self._seat[:, :2].T, self._floor, color=GREY, lw=0.4, alpha=0.6)
-        (self._trail,) = axes.plot([], [], [], color=BLUE, lw=0.8, label="track")
-        (self._shadow,) = axes.plot([], [], [], "o", color=GREY, ms=3)
-        (self._rod,) = axes.plot([], [], [], color="black", lw=1.8, solid_capstyle="round", label="rod")
-        (self._dot,) = axes.plot([], [], [], "o", color=ORANGE, ms=3.5, label="centre of mass")
-        self._body = [axes.plot([], [], [], color=BLUE, lw=1.2)[0] for _ in range(6)]
-        self._clock = axes.text2D(0.03, 0.95, "", transform=axes.transAxes)
-        axes.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.05, 1.0))
-
-    def show(self, time: float) -> list:
-        """Move everything to ``time`` s since the start; returns the artists that changed."""
-        index = min(int(np.searchsorted(self._times, time)), len(self._times) - 1)
-        seat, com = self._seat[index], self._com[index]
-        behind = (self._times > time - TRAIL) & (self._times <= time)
-        self._trail.set_data_3d(*self._seat[behind].T)
-        self._shadow.set_data_3d([seat[0]], [seat[1]], [self._floor])
-        self._rod.set_data_3d(*np.array([seat, 2 * com - seat]).T)
-        self._dot.set_data_3d(*com[:, None])
-        lines = vehicle_lines(seat, self._flight.vehicle.orientation[index], self._vehicle)
-        for artist, line in zip(self._body, lines, strict=True):
+    def show(time: float) -> list:
+        index = min(int(np.searchsorted(times, time)), len(times) - 1)
+        seat, com = seats[index], coms[index]
+        trail.set_data_3d(*seats[(times > time - TRAIL) & (times <= time)].T)
+        shadow.set_data_3d([seat[0]], [seat[1]], [floor])
+        rod.set_data_3d(*np.array([seat, 2 * com - seat]).T)
+        dot.set_data_3d(*com[:, None])
+        lines = vehicle_lines(seat, flight.vehicle.orientation[index], flight.params.vehicle)
+        for artist, line in zip(body, lines, strict=True):
             artist.set_data_3d(*line.T)
-        self._clock.set_text(f"{time:4.1f} s")
-        return [self._trail, self._shadow, self._rod, self._dot, *self._body, self._clock]
+        clock.set_text(f"{time:4.1f} s")
+        return [trail, shadow, rod, dot, *body, clock]
+
+    return show
 
 
 def _joined(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
@@ -212,7 +169,7 @@ def _frame(axes: Axes3D, points: NDArray) -> float:
     return float(floor)
 
 
-def _instruments(panels: Iterable[Axes], flight: Flight) -> list:
+def _instruments(panels: Sequence[Axes], flight: Flight) -> list:
     """Offset of the rod above, length in use below; returns the cursors."""
     above, below = panels
     times, seat, com = _joined(flight)
@@ -229,12 +186,11 @@ def _instruments(panels: Iterable[Axes], flight: Flight) -> list:
             below.axhline(flight.truth_length.values[-1, 0], color="black", lw=0.6, label="true length")
         below.set_ylabel("length (m)")
     else:
-        height = seat[:, 2]
-        below.plot(times, height, color=GREEN, label="height of the vehicle")
+        below.plot(times, seat[:, 2], color=GREEN, label="height of the vehicle")
         below.set_ylabel("$z$ (m)")
     below.margins(y=0.35)
     below.legend(loc="upper right")
     below.set_xlabel("time (s)")
-    for axes in (above, below):
+    for axes in panels:
         axes.set_xlim(0, flight.duration)
-    return [axes.axvline(0.0, color=GREY, lw=0.8) for axes in (above, below)]
+    return [axes.axvline(0.0, color=GREY, lw=0.8) for axes in panels]

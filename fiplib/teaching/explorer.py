@@ -8,7 +8,7 @@ import csv
 import html
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,8 +48,7 @@ STALE = "<div style='color: #666666; padding: 2px 14px'>The settings have change
 def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
     """Landscape, genetic algorithm and best length of a window.
 
-    Raises:
-        ValueError: as ``kalman.fitness``, or the filter overflowed at every length.
+    Raises ValueError as ``kalman.fitness``, or if the filter overflows at every length.
     """
     began, estimation = time.perf_counter(), params.estimation
     chromosome = ga.Chromosome.of(estimation)
@@ -63,7 +62,7 @@ def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
     near = chromosome.length(np.arange(codes[max(coarse - 1, 0)], codes[min(coarse + 1, len(codes) - 1)] + 1))
     best = float(near[kalman.fitness(near, window, estimation).argmin()])
     # settings change with every run here: a table of all gains would take ten times as long as it saves
-    found = ga.estimate(window, params, np.random.default_rng(seed), keep_gains=False)
+    found = ga.estimate(window, params, np.random.default_rng(seed))
     return WindowFit(window, params, lengths, fitness, best, found, time.perf_counter() - began)
 
 
@@ -95,16 +94,11 @@ class Panel(widgets.VBox):
 class Explorer:
     """Widgets, and what they do. Problems with a bag or a setting are text in the page (``message``, ``answer``).
 
-    Args:
-        data: folder whose bags are offered.
-        export: folder to write to, unless the page says another.
-        first: the bag that is shown first.
+    Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
+    page says another.
 
-    Attributes:
-        flight: the flight that is shown, or None.
-        refits: of this flight, in order.
-        rows: the table of results, one dictionary per estimate; lengths in m, times in s.
-        choose, look, fit, rivals, save: the panels, to be displayed.
+    ``flight`` is shown, or None; ``refits`` are those of this flight, in order; ``rows`` is the table of results, one
+    dictionary per estimate, lengths in m, times in s. ``choose, look, fit, rivals, save`` are panels to be displayed.
     """
 
     def __init__(self, data: Path, export: Path, first: str = "estimate-1.4") -> None:
@@ -152,10 +146,7 @@ class Explorer:
             self.load_bag()
 
     def take_own(self, *_: object) -> None:
-        """Load a bag by its path as soon as path or topics change.
-
-        A page may deliver the press of *Load* before the text typed just before it: then it is this that loads the bag.
-        """
+        """Load a bag by its path when path or topics change: a page may deliver the press of *Load* before the text."""
         if self.path.value.strip():
             self.load_bag()
 
@@ -233,17 +224,15 @@ class Explorer:
             estimation__measurement_noise=tuple(self.measurement.value * np.array(estimation.measurement_noise)),
         )
 
-    def _add_row(
-        self, estimator: str, found: Any, params: Params, refit: int | None = None, best: float = math.nan
-    ) -> None:
-        estimation, truth = params.estimation, self._truth()
+    def _add_row(self, name: str, found: Any, params: Params, refit: int | None = None, best: float = math.nan) -> None:
+        estimation = params.estimation
         self.rows.append({
             "refit": refit,
-            "estimator": estimator,
+            "estimator": name,
             "length_m": _number(found.length),
             "standard_deviation_m": _number(found.standard_deviation),
             "least_fitness_at_m": _number(best),
-            "stated_by_bag_m": truth,
+            "stated_by_bag_m": self._truth(),
             "window_start_s": f"{self.span.value[0]:.2f}",
             "window_end_s": f"{self.span.value[1]:.2f}",
             "samples": estimation.window,
@@ -325,9 +314,8 @@ class Explorer:
         self.load = widgets.Button(description="Load", button_style="primary", layout=widgets.Layout(width="90px"))
         self.convention = widgets.Dropdown(options=list(CONVENTIONS), **_say("convention"))
         self.vehicle_name, self.pendulum_name = _text("quad", "vehicle is"), _text("pendulum", "rod is")
-        self.topics = {
-            role: _text(TOPICS[role], f"{role} topic", width="330px") for role in ("vehicle", "pendulum", "command")
-        }
+        roles = "vehicle", "pendulum", "command"
+        self.topics = {role: _text(TOPICS[role], f"{role} topic", width="330px") for role in roles}
         self.message, self.answer, self.compared, self.exported = (widgets.HTML() for _ in range(4))
         for name in ("message", "answer", "compared", "exported"):  # for who styles the page, or reads it by program
             getattr(self, name).add_class(f"fip-{name}")
@@ -335,9 +323,8 @@ class Explorer:
             value=(0.0, 1.0), min=0.0, max=1.0, step=0.05, readout_format=".2f", continuous_update=False,
             **_say("window (s)", "620px"),
         )  # fmt: skip
-        self.zoom = widgets.Checkbox(
-            value=False, description="show the window alone", indent=False, layout=widgets.Layout(width="190px")
-        )
+        narrow, wide = widgets.Layout(width="120px"), widgets.Layout(width="190px")
+        self.zoom = widgets.Checkbox(False, description="show the window alone", indent=False, layout=wide)
         self.period = widgets.Dropdown(options=PERIODS, value=0.1, **_say("sampling (s)", "180px"))
         self.reading = widgets.Dropdown(options=list(kalman.READINGS), **_say("reading", "230px"))
         self.reading.value = "rk4_likelihood"
@@ -349,20 +336,16 @@ class Explorer:
             for name in ("Qₑ", "Rₑ")
         )  # fmt: skip
         self.seed = widgets.BoundedIntText(value=1, min=0, max=10**6, **_say("seed", "130px"))
-        self.press = widgets.Button(description="Refit", button_style="primary", layout=widgets.Layout(width="120px"))
-        self.rival = widgets.Button(description="Compare", button_style="primary", layout=widgets.Layout(width="120px"))
+        self.press = widgets.Button(description="Refit", button_style="primary", layout=narrow)
+        self.rival = widgets.Button(description="Compare", button_style="primary", layout=narrow)
         self.folder = _text(str(export), "folder", width="560px")
-        self.export = widgets.Button(description="Export", button_style="primary", layout=widgets.Layout(width="120px"))
+        self.export = widgets.Button(description="Export", button_style="primary", layout=narrow)
         self.over_time, self.in_space, self.found = Picture(5.0, 4.6), Picture(3.2, 4.6), Picture(8.3, 3.1)
 
     def _make_panels(self) -> None:
         words = "Names in another lab: take its driver's convention and the bodies' names there, or edit the topics."
-        names = Panel(
-            "topics",
-            widgets.HTML(words),
-            _row(self.convention, self.vehicle_name, self.pendulum_name),
-            _row(*self.topics.values()),
-        )
+        other = _row(self.convention, self.vehicle_name, self.pendulum_name)
+        names = Panel("topics", widgets.HTML(words), other, _row(*self.topics.values()))
         remap = widgets.Accordion(children=[names], titles=("Topics",))
         self.choose = Panel("choose a bag", _row(self.bag, self.path, self.load), remap, self.message)
         views = _row(self.over_time.widget, self.in_space.widget)
@@ -373,30 +356,26 @@ class Explorer:
         self.save = Panel("export", _row(self.folder, self.export), self.exported)
 
     def _connect(self) -> None:
-        buttons: dict[widgets.Button, Callable[..., None]] = {
-            self.load: self.load_bag, self.press: self.press_refit, self.rival: self.press_compare,
-            self.export: self.press_export,
-        }  # fmt: skip
-        for button, action in buttons.items():
-            button.on_click(action)
-        for name in (self.convention, self.vehicle_name, self.pendulum_name):
-            name.observe(self._name_topics, "value")
-        self.bag.observe(self.take_bag, "value")
-        for name in (self.path, *self.topics.values()):
-            name.observe(self.take_own, "value")
-        for view in (self.span, self.zoom):
-            view.observe(self.draw, "value")
-        for setting in (self.span, self.period, self.reading, self.process, self.measurement, self.seed):
-            setting.observe(self._outdate, "value")
+        self.load.on_click(self.load_bag)
+        self.press.on_click(self.press_refit)
+        self.rival.on_click(self.press_compare)
+        self.export.on_click(self.press_export)
+        settings = self.span, self.period, self.reading, self.process, self.measurement, self.seed
+        for action, moved in (
+            (self._name_topics, (self.convention, self.vehicle_name, self.pendulum_name)),
+            (self.take_bag, (self.bag,)),
+            (self.take_own, (self.path, *self.topics.values())),
+            (self.draw, (self.span, self.zoom)),
+            (self._outdate, settings),
+        ):
+            for widget in moved:
+                widget.observe(action, "value")
 
 
 def _say(words: str, width: str = "220px") -> dict[str, Any]:
     """A description that takes the room it needs, and the width of the whole."""
-    return {
-        "description": words,
-        "style": {"description_width": "initial"},
-        "layout": widgets.Layout(width=width, max_width="100%"),
-    }
+    layout = widgets.Layout(width=width, max_width="100%")
+    return {"description": words, "style": {"description_width": "initial"}, "layout": layout}
 
 
 def _text(value: str, words: str, placeholder: str = "", width: str = "220px") -> widgets.Text:
@@ -404,8 +383,7 @@ def _text(value: str, words: str, placeholder: str = "", width: str = "220px") -
 
 
 def _row(*children: widgets.Widget) -> widgets.HBox:
-    layout = widgets.Layout(flex_flow="row wrap", align_items="center", grid_gap="2px 14px")
-    return widgets.HBox(children, layout=layout)
+    return widgets.HBox(children, layout={"flex_flow": "row wrap", "align_items": "center", "grid_gap": "2px 14px"})
 
 
 def _box(words: str, colour: str = BLUE) -> str:

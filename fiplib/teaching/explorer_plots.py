@@ -52,15 +52,10 @@ class WindowFit:
 
 
 class Picture:
-    """A figure in a page: a canvas to zoom and turn where ipympl's backend is active, else an image.
-
-    Attributes:
-        figure: draw into it, then call ``show``.
-        widget: what the page displays.
-    """
+    """A figure in a page, width and height in inches: a canvas to zoom and turn where ipympl's backend is active, else
+    an image. Draw into ``figure``, then call ``show``; the page displays ``widget``."""
 
     def __init__(self, width: float, height: float) -> None:
-        """Width and height in inches."""
         with mpl.rc_context(STYLE):
             self.figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
         self.figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - TOOLBAR / height))
@@ -88,13 +83,9 @@ class Picture:
 
 
 def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom: bool) -> None:
-    """Position, the rod's offset, tilt and commands over time.
+    """Position, the rod's offset, tilt and commands over time; the window ``span``, in s since the start, is shaded.
 
-    Args:
-        figure: to draw into.
-        flight: the recorded flight, with its states, recorded or derived.
-        span: the window in s since the start, shaded.
-        zoom: show the window alone.
+    The flight comes with its states, recorded or derived; ``zoom`` shows the window alone.
     """
     figure.clear()
     with mpl.rc_context(STYLE):
@@ -103,14 +94,21 @@ def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom:
         for name, colour, position in zip("xyz", (BLUE, ORANGE, GREEN), flight.vehicle.position.T, strict=True):
             panels[0].plot(time, position, color=colour, label=f"${name}$")
         if flight.reference is not None:
+            time = flight.time(flight.reference)
             for name, colour in zip("xy", (BLUE, ORANGE), strict=True):
-                panels[0].plot(
-                    flight.time(flight.reference), flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6
-                )
+                panels[0].plot(time, flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6)
         panels[0].set_ylabel("vehicle (m)")
         _states(panels[1], flight, ("a", "b"), 100.0, "rod's COM (cm)")
         _states(panels[2], flight, ("phi", "theta"), math.degrees(1), "tilt (deg)")
-        _commands(panels[3], flight)
+        panels[3].set_ylabel("rates (deg/s)")
+        if flight.command is None:
+            panels[3].set_yticks([])
+            _instead(panels[3], "no commands in this bag")
+        else:
+            time = flight.time(flight.command)
+            for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
+                rate = np.degrees(flight.command.column(name))
+                panels[3].plot(time, rate, color=colour, lw=0.5, alpha=0.8, label=label)
         for axes in panels:
             axes.axvspan(*span, color=GREY, alpha=0.15, lw=0)
             for event in flight.events[:50]:
@@ -133,9 +131,8 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
             axes.plot(*pendulum.position.T, color=ORANGE, label="rod's COM")
             at = np.linspace(0, len(vehicle.stamp) - 1, SNAPSHOTS).round().astype(int)
             other = np.searchsorted(pendulum.stamp, vehicle.stamp[at]).clip(max=len(pendulum.stamp) - 1)
-            for shade, seat, middle in zip(
-                np.linspace(0.2, 1.0, SNAPSHOTS), vehicle.position[at], pendulum.position[other], strict=True
-            ):
+            shades, rods = np.linspace(0.2, 1.0, SNAPSHOTS), (vehicle.position[at], pendulum.position[other])
+            for shade, seat, middle in zip(shades, *rods, strict=True):
                 axes.plot(*np.array([seat, 2 * middle - seat]).T, color="black", lw=1.0, alpha=shade)  # tip: COM again
             axes.legend(loc="upper left", frameon=False)
         axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", zlabel="$z$ (m)")
@@ -155,11 +152,8 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
 def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], truth: float | None) -> None:
     """The last refit's landscape and generations, and the estimates of all refits with their intervals.
 
-    Args:
-        figure: to draw into.
-        flight: the recorded flight.
-        refits: in the order in which they were made; none gives empty panels that say so.
-        truth: length in m that the bag states, or None.
+    ``refits`` come in the order in which they were made; none gives empty panels that say so. ``truth`` is the length
+    in m that the bag states.
     """
     figure.clear()
     with mpl.rc_context(STYLE):
@@ -172,10 +166,9 @@ def draw_refit(figure: Figure, flight: Flight, refits: Sequence[WindowFit], trut
             words = "press Refit" if flight.command is not None else "no commands, no refit"
             for axes in (left, middle, right):
                 axes.set(xticks=[], yticks=[])
-            left.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=left.transAxes)
-        for axes, orientation in zip((left, middle, right), ("v", "h", "h"), strict=True):
-            if truth is not None and refits:
-                line = axes.axvline if orientation == "v" else axes.axhline
+            _instead(left, words)
+        if truth is not None and refits:
+            for line in (left.axvline, middle.axhline, right.axhline):
                 line(truth, color="black", lw=0.7, ls="--", label="stated by the bag")
         left.set(title="landscape", xlabel="length (m)", ylabel="fitness above its least")
         middle.set(title="generations of the GA", xlabel="generation", ylabel="length (m)")
@@ -231,20 +224,12 @@ def _states(axes: Axes, flight: Flight, names: tuple[str, str], scale: float, la
     axes.set_ylabel(label)
 
 
-def _commands(axes: Axes, flight: Flight) -> None:
-    axes.set_ylabel("rates (deg/s)")
-    if flight.command is None:
-        axes.text(0.5, 0.5, "no commands in this bag", color=GREY, ha="center", va="center", transform=axes.transAxes)
-        axes.set_yticks([])
-        return
-    for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
-        rate = np.degrees(flight.command.column(name))
-        axes.plot(flight.time(flight.command), rate, color=colour, lw=0.5, alpha=0.8, label=label)
+def _instead(axes: Axes, words: str) -> None:
+    axes.text(0.5, 0.5, words, color=GREY, ha="center", va="center", transform=axes.transAxes)
 
 
 def _within(flight: Flight, body: Poses, span: tuple[float, float]) -> Poses:
-    time: NDArray = flight.time(body)
-    inside = (time >= span[0]) & (time <= span[1])
+    inside = (flight.time(body) >= span[0]) & (flight.time(body) <= span[1])
     return Poses(body.stamp[inside], body.received[inside], body.position[inside], body.orientation[inside])
 
 

@@ -22,10 +22,6 @@ PLOT_STYLE = STYLE | {"figure.figsize": (5.6, 2.6), "figure.dpi": 130, "figure.c
 """The style of the printed figures, at the width of a notebook."""
 
 
-class Mismatch(AssertionError):
-    """A measured value of a notebook differs from the expected one; the message names it."""
-
-
 def begin() -> None:
     """Apply the plot style of the notebooks."""
     plt.rcParams.update(PLOT_STYLE)
@@ -34,12 +30,8 @@ def begin() -> None:
 def beside(rows: Mapping[str, tuple[float, float, float]], unit: str = "") -> None:
     """Print the expected values beside the measured ones, and require that they agree.
 
-    Args:
-        rows: (expected, measured, tolerance) by name; the tolerance is absolute, in the unit of the values.
-        unit: unit of all values.
-
-    Raises:
-        Mismatch: a measured value differs from the expected one by more than the tolerance, or is not a number.
+    ``rows`` are (expected, measured, tolerance) by name; the tolerance is absolute, in the ``unit`` of all values.
+    Raises AssertionError: a measured value differs from the expected one by more than that, or is not a number.
     """
     width = max(map(len, rows))
     print(f"{'':{width}}  {'expected':>12}  {'measured':>12}  {unit}")
@@ -47,4 +39,6 @@ def beside(rows: Mapping[str, tuple[float, float, float]], unit: str = "") -> No
         print(f"{name:{width}}  {expected:12.6g}  {measured:12.6g}")
     for name, (expected, measured, tolerance) in rows.items():
         if not abs(measured - expected) <= tolerance:
-            raise Mismatch(f"{name}: expected {expected:.6g} {unit} within {tolerance:.2g}, measured {measured:.6g}")
+            raise AssertionError(
+                f"{name}: expected {expected:.6g} {unit} within {tolerance:.2g}, measured {measured:.6g}"
+            )

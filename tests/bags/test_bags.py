@@ -77,13 +77,13 @@ def write(
     """Record the numbers the way a flight does: everything of one instant together."""
     with recorder(path, METADATA if metadata is None else metadata) as bag:
         for i, stamp in enumerate(numbers.stamp):
-            bag.truth(stamp, numbers.truth_state[i])
-            bag.truth_length(stamp, 0.8)
+            bag.numbers("truth_state", stamp, numbers.truth_state[i])
+            bag.numbers("truth_length", stamp, [0.8])
             for body in ("vehicle", "pendulum"):
                 bag.pose(body, stamp, stamp + LATENCY, numbers.position[body][i], numbers.orientation[body][i])
             if i % 2 == 0:
-                bag.state(stamp, numbers.state[i // 2])
-                bag.reference(stamp, numbers.reference[i // 2])
+                bag.numbers("state", stamp, numbers.state[i // 2])
+                bag.numbers("reference", stamp, numbers.reference[i // 2])
                 bag.command(stamp, numbers.rates[i // 2], numbers.thrust[i // 2])
             if i % 24 == 0:
                 bag.length(stamp, *numbers.length[i // 24])
@@ -396,9 +396,9 @@ def test_the_recorder_refuses_metadata_that_would_not_come_back(tmp_path: Path, 
 def test_the_recorder_refuses_what_the_contract_does_not_hold(tmp_path: Path) -> None:
     with BagRecorder(tmp_path / "flight", METADATA) as bag:
         with pytest.raises(BagError, match=r"cannot record state .* x, x_dot"):
-            bag.state(0, np.zeros(9))
+            bag.numbers("state", 0, np.zeros(9))
         with pytest.raises(BagError, match="cannot record state"):
-            bag.state(0, ["fast"] * 10)
+            bag.numbers("state", 0, ["fast"] * 10)
         with pytest.raises(BagError, match="bodies are vehicle and pendulum"):
             bag.pose("state", 0, 0, (0, 0, 0), (0, 0, 0, 1))
         with pytest.raises(BagError, match="levels are debug"):

@@ -52,7 +52,7 @@ with open(folder / "handed", "w", buffering=1) as handed:
                     bag.pose(body, now - 4_000_000, now, numbers.position[body][k], numbers.orientation[body][k])
                     handed.write(f"{body} {now}\\n")
                 if index % 2 == 0:
-                    bag.state(now, numbers.state[k // 2])
+                    bag.numbers("state", now, numbers.state[k // 2])
                     handed.write(f"state {now}\\n")
                 if limit:
                     bag.event(now, "info", noise)
@@ -274,7 +274,7 @@ def test_a_disk_that_never_comes_back_stops_the_recording(tmp_path: Path, monkey
     monkeypatch.setattr(live, "_PATIENCE", 0.1)
     os.kill(bag._process.pid, signal.SIGSTOP)
     for i in range(30_000):
-        bag.truth_length(i, 1.0)
+        bag.numbers("truth_length", i, [1.0])
     assert "the disk has taken nothing for long" in bag.failed and bag.dropped > 0
     with pytest.raises(BagError, match="not finished"):
         bag.close()
@@ -318,7 +318,7 @@ def test_a_clock_that_jumps_holds_nothing_back(tmp_path: Path) -> None:
     bag = live._Bag(tmp_path / "flight", METADATA)
     times = [10**9, 2 * 10**9, 10**18, 3 * 10**9, 4 * 10**9]
     for time in times:
-        bag.truth_length(time, 1.0)
+        bag.numbers("truth_length", time, [1.0])
         bag.commit()
     bag.commit()
     bag._reserve.close()
@@ -331,7 +331,7 @@ def test_what_does_not_fit_is_dropped_counted_and_named_in_the_bag(tmp_path: Pat
         for i in range(5):
             for body in ("vehicle", "pendulum"):
                 bag.pose(body, i, i, (float(i), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        bag.state(4, np.zeros(9))
+        bag.numbers("state", 4, np.zeros(9))
         bag.pose("vehicle", 4, 4, None, (0.0, 0.0, 0.0, 1.0))
         bag.pose("quad", 4, 4, (0.0,) * 3, (0.0,) * 4)
         bag.length(-1, 1.0, 1.0, 0.1)
@@ -348,7 +348,7 @@ def test_a_garbled_message_ends_the_recording_in_good_order(tmp_path: Path) -> N
     for body in ("vehicle", "pendulum"):
         bag.pose(body, 0, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     bag._backlog += live._FRAME.pack(200, 0, 0)
-    bag.truth_length(0, 1.0)
+    bag.numbers("truth_length", 0, [1.0])
     with pytest.raises(BagError, match="IndexError"):
         bag.close()
     [event] = read(tmp_path / "flight").events
@@ -377,7 +377,7 @@ def test_what_ended_the_flight_is_not_hidden_by_its_recording(tmp_path: Path) ->
     with pytest.raises(ZeroDivisionError), LiveRecorder(tmp_path / "flight", METADATA) as bag:
         os.kill(bag._process.pid, signal.SIGKILL)
         bag._process.wait()
-        bag.truth_length(0, 1.0)
+        bag.numbers("truth_length", 0, [1.0])
         raise ZeroDivisionError
     assert "recording stopped" in bag.failed
 

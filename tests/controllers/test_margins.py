@@ -20,8 +20,9 @@ MPC_OF_ALL = MPC(PARAMS)
 ROD, POINT = 1.0 / 12.0, 0.0
 
 
-def loop(used: float, true: float = 1.0, gyration_ratio: float = ROD) -> margins.LinearLoop:
-    return margins.stability(used, true, gyration_ratio, PARAMS, MPC_OF_ALL)
+def loop(used: float, true: float = 1.0, gyration_ratio: float = ROD, params: Params = PARAMS) -> margins.LinearLoop:
+    rod = {"pendulum__length": true, "pendulum__gyration_ratio": gyration_ratio}
+    return margins.closed_loop(used, params.replace(**rod), MPC_OF_ALL if params is PARAMS else None)
 
 
 def grows(open_loop: control.StateSpace, factor: float = 1.0) -> bool:
@@ -96,12 +97,13 @@ def test_the_delay_margin_is_the_delay_at_which_the_closed_loop_turns_unstable(u
     for extra, unstable in ((math.floor(margin / substep), False), (math.ceil(margin / substep), True)):
         delay = PARAMS.simulation.rate_delay + extra * substep
         delayed = PARAMS.replace(simulation__rate_delay=delay)
-        assert (margins.stability(used, 1.0, gyration_ratio, delayed).growth_rate > 0.0) == unstable
+        assert (loop(used, 1.0, gyration_ratio, delayed).growth_rate > 0.0) == unstable
 
 
 def test_the_disk_margin_is_that_of_python_control():
     linear = loop(0.8)
-    expected, _, _ = control.disk_margins(linear.open_loop, linear.response()[0])
+    omega = np.geomspace(margins.SLOWEST, 0.999 * np.pi / linear.step, margins.FREQUENCIES)
+    expected, _, _ = control.disk_margins(linear.open_loop, omega)
     assert linear.margins.disk == pytest.approx(expected, rel=1e-9)  # the same formula on the same frequencies
     # along the real axis the disk lies within the gain margins
     assert linear.margins.gain_low <= (2 - linear.margins.disk) / (2 + linear.margins.disk)
@@ -136,7 +138,7 @@ def test_without_delay_lag_and_filter_a_fast_loop_has_the_eigenvalues_of_continu
         piloting__velocity_cutoff=1e6,
         pendulum__mass=1e-9,
     )
-    linear = margins.stability(1.0, 1.0, POINT, fast)
+    linear = loop(1.0, 1.0, POINT, fast)
     a, b = dynamics.axis_matrices(1.0)
     expected = np.sort_complex(np.linalg.eigvals(a - b @ linear.gain[None]))
     slow = np.log(linear.eigenvalues[:5]) / linear.step

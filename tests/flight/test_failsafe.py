@@ -220,9 +220,9 @@ def test_motors_stay_off_until_the_checks_have_passed_and_the_operator_has_armed
     guard = Guard(Pilot(PARAMS, Hover()))
     stream = Stream(guard)
     stream.feed(SAFETY.arm_time - 0.01)
-    assert guard.mode is Mode.DISARMED and guard.waiting == "arm checks under way"
+    assert guard.mode is Mode.DISARMED and guard.arming.waiting == "arm checks under way"
     stream.feed(0.1)
-    assert guard.mode is Mode.READY and guard.waiting == ""
+    assert guard.mode is Mode.READY and guard.arming.waiting == ""
     assert not any(setpoint.armed for setpoint in stream.sent)
     guard.arm(stream.now)
     stream.feed(0.1)
@@ -255,7 +255,7 @@ def test_what_is_not_fit_to_fly_is_not_armed_and_says_why(change, pose, why):
     guard.arm(stream.now)
     stream.feed(1.0, change, **pose)
     assert guard.mode is Mode.DISARMED and not any(setpoint.armed for setpoint in stream.sent)
-    assert re.search(why, guard.waiting), guard.waiting
+    assert re.search(why, guard.arming.waiting), guard.arming.waiting
     stream.feed(1.0)
     assert guard.mode is Mode.FLYING  # put right, it may
 
@@ -277,7 +277,7 @@ def test_a_moving_vehicle_and_one_with_few_poses_are_not_armed():
     for _ in range(80):  # 80 frames a second
         stream.now += 2 * FRAME
         stream.feed(1 / 240)
-    assert guard.mode is Mode.DISARMED and "good frames/s of 240" in guard.waiting
+    assert guard.mode is Mode.DISARMED and "good frames/s of 240" in guard.arming.waiting
 
 
 def test_a_ready_vehicle_is_not_ready_any_more_when_its_poses_stop():
@@ -805,7 +805,7 @@ def test_fixed_gains_keep_the_rod_up_while_the_solver_fails_for_a_second(name):
     guard.arm(link.now())
     while (link.vehicle.flown or 0) < 240 * 9:
         now, frame = link.receive(1 / 120)
-        if link.vehicle.flown == 240 * 5 and guard.solver_failure is None:  # shortly before a push of push-hover
+        if link.vehicle.flown == 240 * 5 and guard.solver.failure is None:  # shortly before a push of push-hover
             Trouble(guard, 4 + 4)  # a try every 0.25 s
         setpoint = guard.frame(now, frame)
         if setpoint is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fiplib import products, replay
+from fiplib import products, replay, studies
 from fiplib.params import Params
 from fiplib.reproduction import claims, ledger
 
@@ -115,7 +115,7 @@ def judged_rows() -> list[ledger.Row]:
 
 @pytest.fixture(scope="module")
 def facts() -> dict[tuple[str, ...], str]:
-    return products.facts(ROOT / "data")
+    return studies.facts(ROOT / "data")
 
 
 # --- the report

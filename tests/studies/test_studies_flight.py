@@ -53,12 +53,13 @@ def test_a_length_that_the_linear_loop_cannot_bear_falls_within_seconds(brief, m
 
 def test_a_long_length_fails_slowly_with_or_without_delay_and_a_short_one_fast_and_only_with_it():
     """What the module says of the two sides."""
-    prompt = Params().replace(simulation__rate_delay=0.0, simulation__mocap_latency=0.0)
-    long, short = (margins.stability(used, 1.0, ratio) for used, ratio in ((2.0, 1 / 12), (0.2, 0.0)))
+    rod, point = Params(), Params().replace(pendulum__gyration_ratio=0.0)
+    long, short = (margins.closed_loop(used, params) for used, params in ((2.0, rod), (0.2, point)))
     assert long.growth_rate > 0.0 and 3.0 < long.frequency < 4.0
     assert short.growth_rate > 0.0 and 12.0 < short.frequency < 18.0
-    assert margins.stability(2.0, 1.0, 1 / 12, prompt).growth_rate > 0.0
-    assert margins.stability(0.2, 1.0, 0.0, prompt).growth_rate < 0.0
+    prompt = {"simulation__rate_delay": 0.0, "simulation__mocap_latency": 0.0}
+    assert margins.closed_loop(2.0, rod.replace(**prompt)).growth_rate > 0.0
+    assert margins.closed_loop(0.2, point.replace(**prompt)).growth_rate < 0.0
 
 
 def test_small_steps_survive_an_outlier_that_a_jump_does_not(brief):
@@ -76,7 +77,7 @@ def test_the_default_weights_pass_the_linear_part_of_their_own_search_and_the_pr
     for case in (default, prototype):
         params = weights._weighted(**{name: case[name] for name in weights.COLUMNS})
         for start in weights.STARTS:
-            loop = margins.stability(start, 1.0, 1 / 12, params)
+            loop = margins.closed_loop(start, params)
             assert loop.growth_rate < 0.0 and loop.margins.delay > weights.DELAY
 
 

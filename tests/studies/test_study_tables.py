@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fiplib import products
+from fiplib import studies
 from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, weights
 from fiplib.studies.imperfections import IMPERFECTIONS
 
@@ -113,4 +113,4 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
 
 
 def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
-    assert products.facts(tmp_path) == {}
+    assert studies.facts(tmp_path) == {}

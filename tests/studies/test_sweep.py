@@ -335,5 +335,5 @@ def test_a_registered_study_keeps_to_the_contract(name):
 )
 def test_cases_that_their_keys_do_not_tell_apart_are_refused(study, monkeypatch, cases, complaint):
     monkeypatch.setattr(sweep_study, "cases", lambda: cases)
-    with pytest.raises(sweep.SweepError, match=complaint):
+    with pytest.raises(FipError, match=complaint):
         sweep.load(study, KNOWN[study])

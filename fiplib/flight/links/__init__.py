@@ -6,14 +6,17 @@ that the link needs (rclpy, pyserial): it is asked for its options in any case, 
 
 import argparse
 from collections import deque
-from types import TracebackType
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from types import MappingProxyType
 from typing import Protocol, Self
 
 from numpy.typing import NDArray
 
 from fiplib.flight.limits import Limits
+from fiplib.flight.sender import Sender, SenderError, Sink
 from fiplib.flight.setpoint import Setpoint
-from fiplib.params import FipError
+from fiplib.params import FipError, Params
 from fiplib.recording import Event, Measurement
 from fiplib.simulate import Scenario
 
@@ -23,29 +26,26 @@ class LinkError(FipError):
 
 
 class PoseSource(Protocol):
-    """Where frames come from, open between ``__enter__`` and ``__exit__``: the first half of a ``Link``."""
+    """Where frames come from, a context manager: the first half of a ``Link``. Nothing to open or close by default."""
 
     origin: str
     """"simulated" or "real": where the poses come from, for the bag's metadata."""
 
-    truth: NDArray | None
+    truth: NDArray | None = None
     """The true state (11,) as ``ROLES["truth_state"]`` at the newest frame; ``None`` where it is not known."""
 
     events: deque[Event]
     """Pushes of a simulated vehicle, for the recorder; the reader takes them away."""
 
-    @property
-    def pids(self) -> dict[str, int]:
-        """The ids of the processes that belong to it, by name; empty before it is entered."""
-        ...
+    pids: Mapping[str, int] = MappingProxyType({})
+    """The ids of the processes that belong to it, by name; empty before it is entered."""
 
     def __enter__(self) -> Self:
         """Open it. Raises LinkError."""
-        ...
+        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
 
     def now(self) -> int:
         """Return the link's clock, ns; arrival times and setpoints are stamped by it."""
@@ -60,11 +60,10 @@ class PoseSource(Protocol):
 
     def wait(self) -> None:
         """Return once frames arrive. Raises LinkError, with the reason, if none do."""
-        ...
 
     def fault(self) -> str | None:
         """Return why the vehicle cannot be flown any more (a process has died ...); ``None`` while it can."""
-        ...
+        return None
 
 
 class Link(PoseSource, Protocol):
@@ -77,28 +76,69 @@ class Link(PoseSource, Protocol):
     name: str
     """Its name on the command line and in the bag's metadata."""
 
+    @staticmethod
+    def arguments(parser: argparse._ArgumentGroup) -> None:
+        """Add the options of this link to the parser; their names start with the link's: ``--crsf-port``."""
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> "Link":
+        """Return the link that the options ask for, not yet open. Raises ValueError for options that make no sense."""
+        ...
+
     def send(self, setpoint: Setpoint) -> None:
         """Hand over a setpoint; never blocks, never raises."""
         ...
 
 
-class LinkChoice(Protocol):
-    """The part of a link's class that the command line uses."""
+class RelayLink(Link):
+    """Frames in from ``poses``, setpoints out through a command sender.
 
-    name: str
+    Args:
+        poses: not yet open.
+        open_sink, params, limits: as ``sender.Sender``.
+    """
 
-    @staticmethod
-    def arguments(parser: argparse._ArgumentGroup) -> None:
-        """Add the options of this link to the parser; their names start with the link's: ``--crsf-port``."""
-        ...
+    def __init__(self, poses: PoseSource, open_sink: Callable[[], Sink], params: Params, limits: Limits) -> None:
+        self.poses, self.origin, self.events = poses, poses.origin, poses.events
+        self._open_sink, self._params, self._limits = open_sink, params, limits
 
-    @classmethod
-    def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
-        """Return the link that the options ask for, not yet open. Raises ValueError for options that make no sense."""
-        ...
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:  # left in reverse order: the commands end first, then the poses
+            stack.enter_context(self.poses)
+            try:
+                self._sender = stack.enter_context(Sender(self._open_sink, self._params, self._limits))
+            except SenderError as error:
+                raise LinkError(f"--link {self.name}: {error}") from error
+            self._wait()
+            self._open = stack.pop_all()
+        self.pids = {**self.poses.pids, f"{self.name} sender": self._sender.pid}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def _wait(self) -> None:
+        """Wait until frames arrive, the sender being open."""
+        self.poses.wait()
+
+    @property
+    def truth(self) -> NDArray | None:
+        return self.poses.truth
+
+    def now(self) -> int:
+        return self.poses.now()
+
+    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
+        return self.poses.receive(timeout)
+
+    def send(self, setpoint: Setpoint) -> None:
+        self._sender.send(setpoint)
+
+    def fault(self) -> str | None:
+        return self._sender.fault() or self.poses.fault()
 
 
-def available() -> dict[str, type[LinkChoice]]:
+def available() -> dict[str, type[Link]]:
     """Return the links by name."""
     from fiplib.flight.links.crsf import CrsfLink  # here, because these modules import this one
     from fiplib.flight.links.ros2 import Ros2Link

@@ -11,22 +11,17 @@ import functools
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
-
-from numpy.typing import NDArray
+from typing import Self
 
 from fiplib.flight.crsf_frames import BAUDS, FRAME_BYTES, Encoder
 from fiplib.flight.limits import Limits, Radio
-from fiplib.flight.links import LinkError, PoseSource
+from fiplib.flight.links import LinkError, PoseSource, RelayLink
 from fiplib.flight.links.ros2 import Ros2Poses
 from fiplib.flight.links.simulated import SimulatedLink
-from fiplib.flight.sender import Sender, SenderError
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO, Params
-from fiplib.recording import Measurement
 from fiplib.simulate import Scenario
 
 QUEUE = 4 * FRAME_BYTES
@@ -44,14 +39,12 @@ def _baud(text: str) -> str:
     return f"radio.baud={text}"
 
 
-class CrsfLink:
+class CrsfLink(RelayLink):
     """Setpoints out through a serial port, frames in from ``poses``.
 
     Args:
         port: the device.
         poses: not yet open.
-        params: ``vehicle`` and ``pendulum``.
-        limits: ``radio`` and ``safety``.
         mirror: is given each setpoint, too: a simulated vehicle that flies along.
     """
 
@@ -65,15 +58,13 @@ class CrsfLink:
         limits: Limits,
         mirror: Callable[[Setpoint], None] | None = None,
     ) -> None:
-        self.origin, self.events = poses.origin, poses.events
-        self._port, self._poses, self._params, self._limits, self._mirror = port, poses, params, limits, mirror
-        self.pids: dict[str, int] = {}
+        super().__init__(poses, functools.partial(CrsfSink, port, params, limits), params, limits)
+        self._mirror = mirror
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
-        parser.add_argument(
-            "--crsf-port", metavar="DEVICE", help="serial port of the radio's transmitter module, e.g. /dev/ttyUSB0"
-        )
+        port = "serial port of the radio's transmitter module, e.g. /dev/ttyUSB0"
+        parser.add_argument("--crsf-port", metavar="DEVICE", help=port)
         parser.add_argument(
             "--crsf-baud",
             type=_baud,
@@ -83,82 +74,41 @@ class CrsfLink:
             metavar="N",
             help=f"its bits per second (default: the parameter radio.baud, {Radio().baud})",
         )
-        parser.add_argument(
-            "--poses",
-            choices=("ros2", "sim"),
-            default="ros2",
-            help="where poses come from: ROS 2 topics, or the simulated vehicle, which is a bench test with the "
-            "propellers taken off (default: %(default)s)",
+        poses = (
+            "poses of ROS 2 topics, or of the simulated vehicle: a bench test without propellers (default: %(default)s)"
         )
+        parser.add_argument("--poses", choices=("ros2", "sim"), default="ros2", help=poses)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Self:
         if not options.crsf_port:
             raise ValueError("--link crsf: name the serial port of the transmitter module with --crsf-port")
         Encoder(scenario.params, limits)  # whether the mapping makes sense
-        if problem := _problem(Path(options.crsf_port)):
-            raise LinkError(problem)  # now, before anything is recorded
+        check(Path(options.crsf_port))  # now, before anything is recorded
         if options.poses == "sim":
             vehicle = SimulatedLink(scenario, limits)
             return cls(options.crsf_port, vehicle, scenario.params, limits, vehicle.send)
         return cls(options.crsf_port, Ros2Poses.from_options(options, scenario), scenario.params, limits)
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            stack.enter_context(self._poses)
-            try:
-                open_sink = functools.partial(CrsfSink, self._port, self._params, self._limits)
-                self._sender = Sender(open_sink, self._params, self._limits)
-            except SenderError as error:
-                raise LinkError(f"--link crsf: {error}") from error
-            stack.enter_context(self._sender)
-            self._poses.wait()
-            self._open = stack.pop_all()  # the commands end first, then the poses
-        self.pids = {**self._poses.pids, "radio": self._sender.pid}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.close()
-
-    @property
-    def truth(self) -> NDArray | None:
-        return self._poses.truth
-
-    def now(self) -> int:
-        return self._poses.now()
-
-    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        return self._poses.receive(timeout)
-
     def send(self, setpoint: Setpoint) -> None:
-        self._sender.send(setpoint)
+        super().send(setpoint)
         if self._mirror is not None:
             self._mirror(setpoint)
 
-    def wait(self) -> None:
-        self._poses.wait()
-
-    def fault(self) -> str | None:
-        return self._sender.fault() or self._poses.fault()
-
 
 class CrsfSink:
-    """Setpoints as frames into a serial port, each whole or not at all.
-
-    Args:
-        port: the device.
-        params: ``vehicle``, for the bounds.
-        limits: ``radio``, and ``safety`` for the bounds.
-
-    Raises:
-        LinkError: the port cannot be opened; the message says why.
-    """
+    """Setpoints as frames into a serial port, each whole or not at all. Raises LinkError if it cannot be opened."""
 
     def __init__(self, port: str, params: Params, limits: Limits) -> None:
         self._name, self._encoder = port, Encoder(params, limits)
-        self._port = _open(port, limits.radio.baud)
+        check(Path(port))
+        import serial
+
+        try:  # for us alone, 8 data bits, no parity, 1 stop bit
+            self._port = serial.Serial(port, limits.radio.baud, timeout=0, exclusive=True)
+        except (OSError, ValueError) as error:
+            busy = isinstance(error, OSError) and error.errno in (errno.EAGAIN, errno.EBUSY)
+            raise LinkError(f"cannot open {port}: {'another program uses it' if busy else _reason(error)}") from error
         self._rest = b""
         self._taken = time.monotonic_ns()
 
@@ -211,37 +161,19 @@ def _plain_errors() -> Iterator[None]:
         raise OSError(*error.args) from error
 
 
-def _open(port: str, baud: int) -> Any:
-    """The port, opened for us alone, 8 data bits, no parity, 1 stop bit. Raises LinkError."""
-    if problem := _problem(Path(port)):
-        raise LinkError(problem)
-    import serial
-
-    try:
-        return serial.Serial(port, baud, timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:
-        busy = isinstance(error, OSError) and error.errno in (errno.EAGAIN, errno.EBUSY)
-        raise LinkError(f"cannot open {port}: {'another program uses it' if busy else _reason(error)}") from error
-
-
-def _problem(port: Path) -> str | None:
-    """Why this cannot be a serial port that we may use, and what to do; ``None`` if nothing speaks against it."""
+def check(port: Path) -> None:
+    """Raise LinkError, with what to do, if this cannot be a serial port that we may use."""
     try:
         from serial.tools.list_ports import comports
-    except ImportError:
-        return '--link crsf needs pyserial: pip install -e ".[flight]"'
+    except ImportError as error:
+        raise LinkError('--link crsf needs pyserial: pip install -e ".[flight]"') from error
     if not port.exists():
-        found = [one.device for one in comports()]
-        return f"no serial port {port}: is the module plugged in? There {_those(found)}"
+        found = ", ".join(one.device for one in comports()) or "none"
+        raise LinkError(f"no serial port {port}: is the module plugged in? Ports here: {found}")
     if not port.is_char_device():
-        return f"{port} is not a serial port"
+        raise LinkError(f"{port} is not a serial port")
     if not os.access(port, os.R_OK | os.W_OK):
-        return f"no permission to use {port}: join the group that owns it, often dialout, and log in again"
-    return None
-
-
-def _those(ports: list[str]) -> str:
-    return f"are {', '.join(ports)}" if len(ports) > 1 else f"is {ports[0] if ports else 'none'}"
+        raise LinkError(f"no permission to use {port}: join the group that owns it, often dialout, and log in again")
 
 
 def _reason(error: Exception) -> str:

@@ -1,9 +1,8 @@
 """``--link ros2``: poses from ROS 2 topics, commands to one.
 
 Two ``geometry_msgs/PoseStamped`` topics carry the bodies, and are read with the QoS of sensor data: best effort, which
-matches every publisher, while a reliable subscription never matches a best-effort publisher. The poses of one exposure
-are put together by their stamps (``Pairing``). Commands leave from the sender's process through a node of its own
-(``Ros2Sink``), as ``mavros_msgs/AttitudeTarget``, or as ``geometry_msgs/TwistStamped`` where MAVROS is not installed.
+matches every publisher, while a reliable subscription never matches a best-effort publisher. Commands leave as
+``mavros_msgs/AttitudeTarget``, or as ``geometry_msgs/TwistStamped`` where MAVROS is not installed.
 
 rclpy is imported on entering only. Flown over real DDS with a simulated vehicle, never with hardware; the
 AttitudeTarget topic was never tried with a running MAVROS. See docs/ros2.md.
@@ -19,18 +18,18 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.bags.messages import IGNORE_ATTITUDE
 from fiplib.flight.limits import Limits
-from fiplib.flight.links import LinkError
-from fiplib.flight.sender import Sender, SenderError
+from fiplib.flight.links import LinkError, PoseSource, RelayLink
+from fiplib.flight.sender import urgent
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO, STATE_NAMES, Params
+from fiplib.pilot import Command
 from fiplib.recording import ROLES, Event, Measurement
 from fiplib.simulate import Scenario
 
@@ -60,7 +59,7 @@ class Pairing:
     """
 
     def __init__(self, tolerance: int) -> None:
-        self._tolerance = tolerance
+        self.tolerance = tolerance
         self._waiting: tuple[deque[tuple[int, NDArray]], ...] = (deque(maxlen=UNPAIRED), deque(maxlen=UNPAIRED))
         self.nearest: int | None = None
 
@@ -71,7 +70,7 @@ class Pairing:
         """
         own, other = self._waiting[body], self._waiting[1 - body]
         gaps = [abs(stamp - waiting) for waiting, _ in other]
-        if not gaps or min(gaps) > self._tolerance:
+        if not gaps or min(gaps) > self.tolerance:
             self.nearest = min([*gaps, *(() if self.nearest is None else (self.nearest,))], default=None)
             own.append((stamp, pose))
             return None
@@ -80,29 +79,6 @@ class Pairing:
         own.clear()  # each topic keeps its order: what is older than a pair has no partner any more
         (stamp, vehicle), (_, pendulum) = ((stamp, pose), partner) if body == 0 else (partner, (stamp, pose))
         return Measurement(stamp, vehicle[:3], vehicle[3:], pendulum[:3], pendulum[3:])
-
-
-class Messages(NamedTuple):
-    """What the link needs of ROS 2."""
-
-    rclpy: Any
-    executors: Any
-    signals: Any
-    qos: Any
-    geometry: Any
-    sensor: Any
-
-
-def ros() -> Messages:
-    """The ROS 2 modules. Raises LinkError where they are missing."""
-    names = ("rclpy", "rclpy.executors", "rclpy.signals", "rclpy.qos", "geometry_msgs.msg", "sensor_msgs.msg")
-    try:
-        return Messages(*map(importlib.import_module, names))
-    except ImportError as error:
-        raise LinkError(
-            f"--link ros2: ROS 2 is not there ({error}); run 'source /opt/ros/<distribution>/setup.bash' first, and "
-            "start it with the Python version that ROS was built for (3.11 or later: ROS 2 Jazzy has 3.12)"
-        ) from error
 
 
 @contextmanager
@@ -117,53 +93,62 @@ def urgent_threads(level: int) -> Iterator[None]:
     before = threads()
     yield
     for thread in threads() - before:
-        with suppress(OSError):
-            os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        urgent(level, thread)
 
 
 class Node:
     """A ROS 2 node with a context of its own, so that no other one's end takes it along.
 
     The middleware's threads are on the way of every pose and command: they are as urgent as those who wait for them.
+
+    Raises:
+        LinkError: ROS 2 is missing or does not start.
     """
 
     def __init__(self, name: str, level: int = 1) -> None:
-        self.ros = ros()
-        with urgent_threads(level):
-            self._open(name)
+        names = ("rclpy", "rclpy.executors", "rclpy.signals", "rclpy.qos", "geometry_msgs.msg", "sensor_msgs.msg")
+        try:
+            self._rclpy, executors, signals, self.qos, self.geometry, self.sensor = map(importlib.import_module, names)
+        except ImportError as error:
+            raise LinkError(
+                f"--link ros2: ROS 2 is not there ({error}); run 'source /opt/ros/<distribution>/setup.bash' first, "
+                "and start it with the Python version that ROS was built for (3.11 or later: ROS 2 Jazzy has 3.12)"
+            ) from error
+        try:
+            with urgent_threads(level):
+                self._open(name, executors, signals)
+        except Exception as error:  # whatever rclpy raises
+            raise LinkError(f"--link ros2: ROS 2 does not start ({type(error).__name__}: {error})") from error
 
-    def _open(self, name: str) -> None:
+    def _open(self, name: str, executors: Any, signals: Any) -> None:
         # Fast DDS: shared memory left behind by a killed process can keep its successor from being found; UDP cannot
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         # Ctrl-C lands the vehicle: ROS must not take the signal and close the topics
-        self._context = self.ros.rclpy.Context()
-        self.ros.rclpy.init(
-            args=[], context=self._context, signal_handler_options=self.ros.signals.SignalHandlerOptions.NO
-        )
-        self.node = self.ros.rclpy.create_node(
+        self._context = self._rclpy.Context()
+        self._rclpy.init(args=[], context=self._context, signal_handler_options=signals.SignalHandlerOptions.NO)
+        self.node = self._rclpy.create_node(
             name, context=self._context, enable_rosout=False, start_parameter_services=False
         )
-        self.executor = self.ros.executors.SingleThreadedExecutor(context=self._context)
+        self.executor = executors.SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
 
     def publisher(self, kind: Any, topic: str, latched: bool = False) -> Any:
         """Reliable, for subscribers of either kind; only the newest message is kept, so that nothing ever waits."""
-        qos = self.ros.qos
-        durability = qos.DurabilityPolicy.TRANSIENT_LOCAL if latched else qos.DurabilityPolicy.VOLATILE
-        reliable = qos.ReliabilityPolicy.RELIABLE
-        return self.node.create_publisher(
-            kind, topic, qos.QoSProfile(depth=1, reliability=reliable, durability=durability)
-        )
+        policies = self.qos.DurabilityPolicy
+        durability = policies.TRANSIENT_LOCAL if latched else policies.VOLATILE
+        reliable = self.qos.ReliabilityPolicy.RELIABLE
+        profile = self.qos.QoSProfile(depth=1, reliability=reliable, durability=durability)
+        return self.node.create_publisher(kind, topic, profile)
 
     def close(self) -> None:
         with suppress(Exception):  # whatever rclpy raises when it is half gone
             self.executor.shutdown(timeout_sec=0.0)
             self.node.destroy_node()
         with suppress(Exception):
-            self.ros.rclpy.shutdown(context=self._context)
+            self._rclpy.shutdown(context=self._context)
 
 
-class Ros2Poses:
+class Ros2Poses(PoseSource):
     """Frames from two PoseStamped topics; a context manager. No thread: topics are read within ``receive``.
 
     Args:
@@ -175,55 +160,29 @@ class Ros2Poses:
 
     def __init__(self, topics: tuple[str, str], tolerance: float, origin: str, patience: float) -> None:
         self.topics, self.origin, self._patience = topics, origin, patience
-        self.truth: NDArray | None = None  # not known
         self.events: deque[Event] = deque()
-        self.pids: dict[str, int] = {}
-        self._tolerance = tolerance
         self._pairing = Pairing(round(tolerance * NANO))
         self._frames: deque[tuple[int, Measurement]] = deque()
         self._counts, self._paired = [0, 0], False
         self._offset = time.time_ns() - time.monotonic_ns()
         self._fault: str | None = None
-        self._node: Node | None = None
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
         """Add the options of the poses, for every link that takes them from ROS 2."""
-        parser.add_argument(
-            "--ros2-origin",
-            choices=("real", "simulated"),
-            help="where the poses come from; must be said, the bag carries it. A simulated vehicle is armed at once, "
-            "a real one by the Enter key",
-        )
-        parser.add_argument(
-            "--ros2-mocap",
-            choices=PRESETS,
-            default="fip",
-            help="topics named as this driver names them: "
-            + ", ".join(f"{name} {topic.format('BODY')}" for name, topic in PRESETS.items())
-            + " (default: %(default)s)",
-        )
+        add = parser.add_argument
+        origin = "whose poses; must be given. A simulated vehicle is armed at once, a real one by the Enter key"
+        add("--ros2-origin", choices=("real", "simulated"), help=origin)
+        topics = ", ".join(f"{name} {topic.format('BODY')}" for name, topic in PRESETS.items())
+        mocap = f"topics named as this driver names them: {topics} (default: %(default)s)"
+        add("--ros2-mocap", choices=PRESETS, default="fip", help=mocap)
         for body, name in zip(BODIES, ("quad", "pendulum"), strict=True):
-            parser.add_argument(
-                f"--ros2-{body}", default=name, metavar="BODY", help=f"the {body}'s name (default: %(default)s)"
-            )
-            parser.add_argument(
-                f"--ros2-{body}-topic", metavar="TOPIC", help=f"the {body}'s topic in full, instead of a driver's"
-            )
-        parser.add_argument(
-            "--ros2-pairing",
-            type=float,
-            default=2.0,
-            metavar="MS",
-            help="stamps of vehicle and pendulum that differ by less belong to one frame (default: %(default)g ms)",
-        )
-        parser.add_argument(
-            "--ros2-wait",
-            type=float,
-            default=10.0,
-            metavar="S",
-            help="how long to wait for poses and for a vehicle that listens (default: %(default)g s)",
-        )
+            add(f"--ros2-{body}", default=name, metavar="BODY", help=f"the {body}'s name (default: %(default)s)")
+            add(f"--ros2-{body}-topic", metavar="TOPIC", help=f"the {body}'s topic in full, instead of a driver's")
+        pairing = "stamps of vehicle and pendulum that differ by less belong to one frame (default: %(default)g ms)"
+        add("--ros2-pairing", type=float, default=2.0, metavar="MS", help=pairing)
+        patience = "how long to wait for poses and for a vehicle that listens (default: %(default)g s)"
+        add("--ros2-wait", type=float, default=10.0, metavar="S", help=patience)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario) -> Self:
@@ -245,26 +204,19 @@ class Ros2Poses:
             raise ValueError(f"vehicle and pendulum cannot share the topic {vehicle}")
         return cls((vehicle, pendulum), options.ros2_pairing / 1e3, options.ros2_origin, options.ros2_wait)
 
-    @property
-    def node(self) -> Node:
-        assert self._node is not None
-        return self._node
-
     def __enter__(self) -> Self:
-        self._node = open_node("fip_pilot")
+        self.node = Node("fip_pilot")
         try:
-            qos = self.node.ros.qos.qos_profile_sensor_data
-            kind = self.node.ros.geometry.PoseStamped
+            qos, kind = self.node.qos.qos_profile_sensor_data, self.node.geometry.PoseStamped
             for body, topic in enumerate(self.topics):
                 self.node.node.create_subscription(kind, topic, functools.partial(self._take, body), qos)
         except Exception as error:  # rclpy's: a topic's name may be no name
-            self._node.close()
+            self.node.close()
             raise LinkError(f"--link ros2: cannot subscribe to {' and '.join(self.topics)} ({error})") from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
+        SPARE.clear()  # it publishes from this node
         self.node.close()
 
     def wait(self, listeners: str | None = None) -> None:
@@ -285,19 +237,16 @@ class Ros2Poses:
         return time.monotonic_ns() + self._offset
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        end = time.monotonic() + timeout
-        left = timeout
-        while not self._frames:
+        end, left = time.monotonic() + timeout, max(0.0, timeout)
+        while not self._frames and left >= 0.0:
             try:
-                self.node.executor.spin_once(timeout_sec=max(0.0, left))
+                self.node.executor.spin_once(timeout_sec=left)
             except Exception as error:  # whatever rclpy raises
                 self._fault = f"ROS 2 has failed ({type(error).__name__}: {error})"
-                time.sleep(max(0.0, left))
+                time.sleep(left)
                 return None
             left = end - time.monotonic()
-            if left <= 0.0 and not self._frames:
-                return None
-        return self._frames.popleft()
+        return self._frames.popleft() if self._frames else None
 
     def fault(self) -> str | None:
         return self._fault
@@ -334,104 +283,65 @@ class Ros2Poses:
             return self._fault
         if self._paired:
             return None
-        nearest = (
-            "" if self._pairing.nearest is None else f", the nearest are {self._pairing.nearest / 1e6:.3g} ms apart"
-        )
+        gap = self._pairing.nearest
+        nearest = "" if gap is None else f", the nearest are {gap / 1e6:.3g} ms apart"
         return (
             f"poses come on {' and '.join(self.topics)}, but their stamps never agree{nearest}; one clock must stamp "
-            f"both (--ros2-pairing {self._tolerance * 1e3:g})"
+            f"both (--ros2-pairing {self._pairing.tolerance / 1e6:g})"
         )
 
 
-class Ros2Link:
+class Ros2Link(RelayLink):
     """Poses from ROS 2, commands to it; state and length are published beside them."""
 
     name = "ros2"
+    poses: Ros2Poses
 
     def __init__(self, poses: Ros2Poses, kind: str | None, topic: str, params: Params, limits: Limits) -> None:
-        self.poses, self._kind, self._topic, self._params, self._limits = poses, kind, topic, params, limits
-        self.origin, self.truth, self.events = poses.origin, poses.truth, poses.events
-        self.pids: dict[str, int] = {}
+        self._kind = kind or ("attitude" if importlib.util.find_spec("mavros_msgs") else "twist")
+        self._topic = topic
+        super().__init__(poses, functools.partial(command_sink, self._kind, topic), params, limits)
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
         Ros2Poses.arguments(parser)
-        parser.add_argument(
-            "--ros2-command",
-            choices=COMMANDS,
-            help="message of the commands: mavros_msgs/AttitudeTarget, or geometry_msgs/TwistStamped with body rates "
-            "in angular and thrust in linear.z (default: attitude where mavros_msgs is installed)",
+        command = (
+            "message of the commands: mavros_msgs/AttitudeTarget, or geometry_msgs/TwistStamped with body rates in "
+            "angular and thrust in linear.z (default: attitude where mavros_msgs is installed)"
         )
-        parser.add_argument(
-            "--ros2-command-topic",
-            default=ROLES["command"].topic,
-            metavar="TOPIC",
-            help="topic of the commands (default: %(default)s; MAVROS listens to /mavros/setpoint_raw/attitude)",
-        )
+        parser.add_argument("--ros2-command", choices=COMMANDS, help=command)
+        topic = "topic of the commands (default: %(default)s; MAVROS listens to /mavros/setpoint_raw/attitude)"
+        parser.add_argument("--ros2-command-topic", default=ROLES["command"].topic, metavar="TOPIC", help=topic)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Self:
         poses = Ros2Poses.from_options(options, scenario)
         return cls(poses, options.ros2_command, options.ros2_command_topic, scenario.params, limits)
 
-    def __enter__(self) -> Self:
-        kind = self._kind or ("attitude" if importlib.util.find_spec("mavros_msgs") else "twist")
-        with_poses = self.poses.__enter__()
-        try:
-            self._sender = Sender(functools.partial(command_sink, kind, self._topic), self._params, self._limits)
-        except SenderError as error:
-            with_poses.__exit__(None, None, None)
-            raise LinkError(f"--link ros2: {error}") from error
-        try:
-            node = with_poses.node
-            SPARE[kind, self._topic] = Ros2Sink(kind, self._topic, node)
-            self._state = node.publisher(node.ros.sensor.JointState, ROLES["state"].topic)
-            self._state_message = node.ros.sensor.JointState(name=list(STATE_NAMES))
-            self._state_message.header.frame_id = ROLES["state"].frame
-            self._length = node.publisher(node.ros.geometry.PointStamped, ROLES["length"].topic, latched=True)
-            self._published_length = math.nan
-            with_poses.wait(self._topic)
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
-        self.pids = {"sender": self._sender.pid}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._sender.close()
-        SPARE.clear()
-        self.poses.__exit__(kind, error, trace)
-
-    def now(self) -> int:
-        return self.poses.now()
-
-    def receive(self, timeout: float) -> tuple[int, Measurement] | None:
-        return self.poses.receive(timeout)
-
-    def wait(self) -> None:
+    def _wait(self) -> None:
+        node = self.poses.node
+        SPARE[self._kind, self._topic] = Ros2Sink(self._kind, self._topic, node)
+        self._state = node.publisher(node.sensor.JointState, ROLES["state"].topic)
+        self._state_message = node.sensor.JointState(name=list(STATE_NAMES))
+        self._state_message.header.frame_id = ROLES["state"].frame
+        self._length = node.publisher(node.geometry.PointStamped, ROLES["length"].topic, latched=True)
+        self._published_length = math.nan
         self.poses.wait(self._topic)
 
     def send(self, setpoint: Setpoint) -> None:
-        self._sender.send(setpoint)
+        super().send(setpoint)
         if setpoint.command is not None:
             with suppress(Exception):  # what is shown must not disturb what is flown
-                self._show(setpoint)
+                self._show(setpoint.command)
 
-    def fault(self) -> str | None:
-        return self._sender.fault() or self.poses.fault()
-
-    def _show(self, setpoint: Setpoint) -> None:
+    def _show(self, command: Command) -> None:
         """State and length in use, for displays."""
-        command = setpoint.command
-        assert command is not None
         stamped(self._state_message.header, command.stamp)
         self._state_message.position = command.state.tolist()
         self._state.publish(self._state_message)
         if command.length != self._published_length:
             self._published_length = command.length
-            message = self.poses.node.ros.geometry.PointStamped()
+            message = self.poses.node.geometry.PointStamped()
             stamped(message.header, command.stamp)
             message.header.frame_id = ROLES["length"].frame
             message.point.x, message.point.y, message.point.z = command.length, math.nan, math.nan
@@ -446,7 +356,6 @@ class Ros2Sink:
 
     Args:
         kind: of the message, a key of ``COMMANDS``.
-        topic: where to.
         node: to publish from; by default one of its own.
 
     Raises:
@@ -456,7 +365,7 @@ class Ros2Sink:
     def __init__(self, kind: str, topic: str, node: Node | None = None) -> None:
         module, name = COMMANDS[kind]
         self._shared = node is not None
-        self._node = node or open_node("fip_sender", 3)
+        self._node = node or Node("fip_sender", 3)
         try:
             message = getattr(importlib.import_module(module), name)
             self._publisher = self._node.publisher(message, topic)
@@ -466,7 +375,7 @@ class Ros2Sink:
         except Exception as error:  # rclpy's: a topic's name may be no name
             self.close()
             raise LinkError(f"cannot publish commands on {topic} ({error})") from error
-        self._message, self._fill = message(), {"attitude": fill_attitude, "twist": fill_twist}[kind]
+        self._message, self._fill = message(), fill_attitude if kind == "attitude" else fill_twist
         self._message.header.frame_id = ROLES["command"].frame
 
     def send(self, setpoint: Setpoint) -> None:
@@ -489,16 +398,6 @@ def command_sink(kind: str, topic: str) -> Ros2Sink:
     return SPARE.pop((kind, topic), None) or Ros2Sink(kind, topic)
 
 
-def open_node(name: str, level: int = 1) -> Node:
-    """A node. Raises LinkError if ROS 2 is missing or does not start."""
-    try:
-        return Node(name, level)
-    except LinkError:
-        raise
-    except Exception as error:  # whatever rclpy raises
-        raise LinkError(f"--link ros2: ROS 2 does not start ({type(error).__name__}: {error})") from error
-
-
 def stamped(header: Any, stamp: int) -> None:
     """Put a time in ns into a header."""
     header.stamp.sec, header.stamp.nanosec = divmod(stamp, NANO)
@@ -506,15 +405,13 @@ def stamped(header: Any, stamp: int) -> None:
 
 def fill_attitude(message: Any, setpoint: Setpoint) -> None:
     """mavros_msgs/AttitudeTarget: body rates (x forward, y left, z up) and normalised thrust; the attitude ignored."""
-    message.type_mask = IGNORE_ATTITUDE
-    message.orientation.w = 1.0
-    rate = message.body_rate
-    rate.x, rate.y, rate.z = (float(value) for value in setpoint.body_rate)
+    message.type_mask, message.orientation.w, rate = IGNORE_ATTITUDE, 1.0, message.body_rate
+    rate.x, rate.y, rate.z = setpoint.body_rate.tolist()
     message.thrust = float(setpoint.thrust)
 
 
 def fill_twist(message: Any, setpoint: Setpoint) -> None:
     """geometry_msgs/TwistStamped: body rates in ``angular``, normalised thrust in ``linear.z``."""
     rate = message.twist.angular
-    rate.x, rate.y, rate.z = (float(value) for value in setpoint.body_rate)
+    rate.x, rate.y, rate.z = setpoint.body_rate.tolist()
     message.twist.linear.z = float(setpoint.thrust)

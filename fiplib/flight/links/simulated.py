@@ -1,8 +1,7 @@
-"""``--link sim``: the simulated vehicle, in virtual time or against the wall clock.
+"""``--link sim``: the simulated vehicle, in virtual time (the same flight every time) or against the wall clock.
 
-``VirtualLink`` moves the vehicle by one frame whenever a frame is asked for: as fast as possible, and the same every
-time. ``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the
-loopback interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
+``SimulatedLink`` gives the vehicle a process of its own that runs in real time and exchanges datagrams on the loopback
+interface, in place of a radio: commands come from the sender's process, frames go to the pilot's.
 """
 
 import argparse
@@ -17,7 +16,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -25,7 +23,17 @@ from numpy.typing import NDArray
 
 from fiplib.flight.limits import Limits
 from fiplib.flight.links import Link, LinkError
-from fiplib.flight.sender import START_TIME, Sender, SenderError, Sink, decode, encode, ignore_the_terminal, urgent
+from fiplib.flight.sender import (
+    SPAWN,
+    START_TIME,
+    Sender,
+    SenderError,
+    Sink,
+    decode,
+    encode,
+    ignore_the_terminal,
+    urgent,
+)
 from fiplib.flight.setpoint import Setpoint
 from fiplib.params import NANO
 from fiplib.recording import EPOCH, Event, Measurement
@@ -47,33 +55,18 @@ class HeldVehicle(SimulatedVehicle):
             super().command(command, at)
 
 
-class VirtualLink:
-    """The simulated vehicle in virtual time: a frame per ``receive``, each a frame's period after the last.
-
-    Args:
-        scenario: the flight.
-        vehicle: another vehicle than that of the scenario.
-    """
+class VirtualLink(Link):
+    """The simulated vehicle, or another ``vehicle``, in virtual time: a frame per ``receive``, one period further."""
 
     name, origin = "sim", "simulated"
 
     def __init__(self, scenario: Scenario, vehicle: HeldVehicle | None = None) -> None:
         self.vehicle = vehicle or HeldVehicle(scenario)
-        self.truth: NDArray | None = None
         self.events: deque[Event] = deque()
-        self.pids: dict[str, int] = {}
         self._rate = scenario.params.piloting.mocap_rate
         self._latency = round(scenario.params.simulation.mocap_latency * NANO)
         self._index = -1
         self._now = EPOCH
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
 
     def now(self) -> int:
         return self._now
@@ -87,21 +80,14 @@ class VirtualLink:
         self.truth = self.vehicle.plant.truth()
         return self._now, self.vehicle.measure(stamp)
 
-    def wait(self) -> None:
-        pass
-
     def send(self, setpoint: Setpoint) -> None:
         self.vehicle.command(setpoint)
 
-    def fault(self) -> str | None:
-        return None
 
-
-class SimulatedLink:
+class SimulatedLink(Link):
     """The simulated vehicle in real time, in its own process.
 
     Args:
-        scenario: the flight.
         limits: those of the command sender.
         sink: makes the sender's way out to the vehicle's address, in the sender's process; must pickle.
         tap: called in the vehicle's process with each frame.
@@ -122,21 +108,15 @@ class SimulatedLink:
     ) -> None:
         self.scenario, self._limits = scenario, limits
         self._open_sink, self._tap = sink or LoopbackSink, tap
-        self.truth: NDArray | None = None
         self.events: deque[Event] = deque()
         self.offset = time.time_ns() - time.monotonic_ns()
-        self.pids: dict[str, int] = {}
 
     @staticmethod
     def arguments(parser: argparse._ArgumentGroup) -> None:
-        parser.add_argument(
-            "--real-time",
-            action="store_true",
-            help="against the wall clock, with failsafe, estimator and command sender in processes of their own",
-        )
-        parser.add_argument(
-            "--failsafe", action="store_true", help="as fast as possible, but with the failsafe around the pilot"
-        )
+        real_time = "against the wall clock, with failsafe, estimator and command sender in processes of their own"
+        parser.add_argument("--real-time", action="store_true", help=real_time)
+        failsafe = "as fast as possible, but with the failsafe around the pilot"
+        parser.add_argument("--failsafe", action="store_true", help=failsafe)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace, scenario: Scenario, limits: Limits) -> Link:
@@ -147,14 +127,9 @@ class SimulatedLink:
         for one in (self.frames, commands):
             one.bind(("127.0.0.1", 0))
         self.frames.setblocking(False)
-        context = multiprocessing.get_context("spawn")
-        ready, tell = context.Pipe(duplex=False)
-        self._process = context.Process(
-            target=fly_vehicle,
-            args=(self.scenario, commands, self.frames.getsockname(), self.offset, tell, self._tap),
-            name="fip-vehicle",
-            daemon=True,
-        )
+        ready, tell = SPAWN.Pipe(duplex=False)
+        task = (self.scenario, commands, self.frames.getsockname(), self.offset, tell, self._tap)
+        self._process = SPAWN.Process(target=fly_vehicle, args=task, name="fip-vehicle", daemon=True)
         self._process.start()
         tell.close()
         address = commands.getsockname()
@@ -172,9 +147,7 @@ class SimulatedLink:
         self.pids = {"vehicle": self._process.pid, "sender": self._sender.pid}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._sender.close()
         self._process.kill()
         self._process.join()
@@ -195,9 +168,6 @@ class SimulatedLink:
         if values[27]:
             self.events.append(Push(0.0, (numbers[25], numbers[26]), numbers[27]).event(now))
         return now, Measurement(stamp, values[:3], values[3:7], values[7:10], values[10:14])
-
-    def wait(self) -> None:
-        pass  # the vehicle's process has said that it is ready
 
     def send(self, setpoint: Setpoint) -> None:
         self._sender.send(setpoint)

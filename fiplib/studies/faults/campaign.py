@@ -1,9 +1,5 @@
 """The fault campaign: inject faults into simulated flights behind the failsafe, and report what happened.
 
-    fip faults
-    fip faults --list
-    fip faults drop-out-300ms kill-sender --output my-faults.csv
-
 Faults of poses, solver, estimate and operator fly in virtual time: the same rows every time. Those of processes fly in
 real time, in processes of their own that are killed or stopped; of these the table keeps what does not depend on
 timing. Everything is simulated: nothing here has flown on a vehicle. Rows gather beside the table in .partial.csv;
@@ -11,7 +7,6 @@ stopped at any time, the same command goes on from there.
 """
 
 import argparse
-import contextlib
 import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -53,9 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fly the faults that are asked for; return 1 if one did not meet the target, else 0.
 
-    Raises:
-        ValueError: an unknown fault, or some faults alone without a table of their own.
-        JournalError, OSError: the table on disk is another, or cannot be written.
+    Raises ValueError: an unknown fault, or some faults alone without a table of their own; JournalError, OSError: the
+    table on disk is another, or cannot be written.
     """
     if options.list:
         for name, fault in FAULTS.items():
@@ -66,9 +60,8 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"no fault {unknown[0]!r}; --list lists them")
     if options.names and options.output is None:
         raise ValueError("some faults alone go to a table of their own: give --output CSV")
-    chosen = {name: FAULTS[name] for name in options.names or FAULTS}
     path = options.output or TABLE
-    fly(chosen, path, options.fresh)
+    fly({name: FAULTS[name] for name in options.names or FAULTS}, path, options.fresh)
     rows = rows_of(path)
     if options.output is None:
         PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), rows), encoding="utf-8")
@@ -81,11 +74,11 @@ def run(options: argparse.Namespace) -> int:
 
 def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False) -> None:
     """Fly the faults of which the table has no row yet, and complete it."""
-    with contextlib.closing(Journal(path, ["fault"], fresh)) as journal:
-        for name, fault in tqdm(faults.items(), unit="fault", disable=None):
-            if (name,) not in journal.rows:
-                journal.append({"fault": name}, fault.fly())
-        journal.complete([{"fault": name} for name in faults])
+    journal = Journal(path, ["fault"], fresh)
+    for name, fault in tqdm(faults.items(), unit="fault", disable=None):
+        if (name,) not in journal.rows:
+            journal.append({"fault": name}, fault.fly())
+    journal.complete([{"fault": name} for name in faults])
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

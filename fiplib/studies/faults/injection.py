@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.base import Estimate
 from fiplib.mpc import Solution, Status
@@ -41,47 +42,39 @@ def thinned(start: float, share: float, rng: np.random.Generator) -> FrameFault:
 
 def bursts(start: float, seconds: float, withheld: float) -> FrameFault:
     """For so many seconds frames are kept back and delivered together, every ``withheld`` s."""
-    kept: list[Measurement] = []
     released = start
 
-    def fault(at: float, frame: Measurement) -> list[Measurement]:
-        nonlocal kept, released
-        kept.append(frame)
+    def due(at: float, kept: int) -> int:
+        nonlocal released
         if start <= at < start + seconds and at - released < withheld:
-            return []
-        kept, out, released = [], kept, max(at, start)
-        return out
+            return 0
+        released = max(at, start)
+        return kept
+
+    return _queued(due)
+
+
+def _queued(due: Callable[[float, int], int], order: int = 1) -> FrameFault:
+    """Frames are queued; of those ``kept``, the first ``due(at, kept)`` are delivered, -1: in reverse order."""
+    kept: list[Measurement] = []
+
+    def fault(at: float, frame: Measurement) -> list[Measurement]:
+        kept.append(frame)
+        out = kept[: due(at, len(kept))]
+        del kept[: len(out)]
+        return out[::order]
 
     return fault
 
 
 def late(start: float, seconds: float, frames: int) -> FrameFault:
     """For so many seconds every frame comes later by a number of frames, stamped with its exposure."""
-    kept: list[Measurement] = []
-
-    def fault(at: float, frame: Measurement) -> list[Measurement]:
-        kept.append(frame)
-        keep = frames if start <= at < start + seconds else 0
-        out = kept[: max(0, len(kept) - keep)]
-        del kept[: len(out)]
-        return out
-
-    return fault
+    return _queued(lambda at, kept: max(0, kept - frames) if start <= at < start + seconds else kept)
 
 
 def turned_about(start: float, seconds: float, count: int) -> FrameFault:
     """For so many seconds each ``count`` frames are delivered together and in reverse order."""
-    kept: list[Measurement] = []
-
-    def fault(at: float, frame: Measurement) -> list[Measurement]:
-        kept.append(frame)
-        if start <= at < start + seconds and len(kept) < count:
-            return []
-        out = kept[::-1]
-        kept.clear()
-        return out
-
-    return fault
+    return _queued(lambda at, kept: 0 if start <= at < start + seconds and kept < count else kept, order=-1)
 
 
 def changed(change: Change, start: float, seconds: float, every: int = 1) -> FrameFault:
@@ -122,15 +115,8 @@ def longer(body: str, factor: float) -> Change:
 
 def tilted(angle: float) -> Change:
     """The vehicle's attitude off by an angle about its x axis, rad."""
-    sin, cos = np.sin(angle / 2.0), np.cos(angle / 2.0)
-
-    def change(frame: Measurement) -> Measurement:
-        x, y, z, w = frame.vehicle_attitude
-        return frame._replace(
-            vehicle_attitude=np.array((x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin))
-        )
-
-    return change
+    turn = Rotation.from_euler("x", angle)
+    return lambda frame: frame._replace(vehicle_attitude=(Rotation.from_quat(frame.vehicle_attitude) * turn).as_quat())
 
 
 def opposite(frame: Measurement) -> Measurement:
@@ -140,12 +126,11 @@ def opposite(frame: Measurement) -> Measurement:
 
 def frozen(stamps: bool = False) -> Change:
     """Both poses as they were at the first frame changed; with its stamp, or with stamps that go on."""
-    kept: list[Measurement] = []
+    kept: dict[str, Measurement] = {}
 
     def change(frame: Measurement) -> Measurement:
-        kept.append(frame)
-        del kept[1:]
-        return kept[0] if stamps else kept[0]._replace(stamp=frame.stamp)
+        first = kept.setdefault("first", frame)
+        return first if stamps else first._replace(stamp=frame.stamp)
 
     return change
 

@@ -29,13 +29,11 @@ def balances(
     deaf: tuple[float, float] = NEVER,
     sent: Mapping[int, Setpoint] | None = None,
 ) -> bool:
-    """Return whether the controller keeps the rod up.
+    """Return whether the controller keeps the rod up in a scenario, without noise and with the true length.
 
-    Args:
-        scenario: flown without noise and with the true length.
-        blind: (start, end) in s after take-off; meanwhile it flies the plan that it had, by time.
-        deaf: (start, end) in s after take-off; meanwhile no command gets through, and the last one is held.
-        sent: the setpoints on which it flies until it goes deaf, by time in ns; then the controller takes over.
+    ``blind`` and ``deaf`` are (start, end) in s after take-off: meanwhile it flies the plan that it had, by time, or no
+    command gets through, and the last one is held. On the setpoints ``sent``, by time in ns, it flies until it goes
+    deaf; then the controller takes over.
     """
     params = scenario.params.replace(
         simulation__position_noise=0.0,

@@ -22,13 +22,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from fiplib import bags
 from fiplib.bags.live import RESERVE
 from fiplib.flight import command
 from fiplib.flight.failsafe import Guard
@@ -57,12 +56,9 @@ ESTIMATED = ("--scenario", "estimate-1.2", "--duration", "16", "--set", "safety.
 
 @dataclass(frozen=True)
 class ProcessFault(Fault):
-    """A fault that is done to the processes of a flight in real time.
+    """A fault that is done to the processes of a flight in real time: by ``hit``, ``HIT`` s after take-off.
 
-    Attributes:
-        hit: does it, ``HIT`` s after take-off.
-        arguments: of the flight.
-        disk: bytes of the disk on which it is recorded; 0 for the usual one.
+    ``arguments`` are those of the flight, which is recorded on a disk of ``disk`` bytes; 0: on the usual one.
     """
 
     hit: Callable[["Witness"], None]
@@ -84,11 +80,11 @@ class ProcessFault(Fault):
                 try:
                     began = took_off(witness, process)
                     while (time.monotonic_ns() - began) / NANO < HIT:
-                        witness.listen(0.05)
+                        witness.hear(0.05)
                     clock = time.time_ns()
                     self.hit(witness)
                     until = time.monotonic() + 60.0
-                    while (witness.listen(ENDED) or process.poll() is None) and time.monotonic() < until:
+                    while (witness.hear(ENDED) or process.poll() is None) and time.monotonic() < until:
                         pass
                 finally:
                     killed = end_all(process, witness)
@@ -97,9 +93,7 @@ class ProcessFault(Fault):
             bag = bag_after(place / "bag", clock, bool(witness.recording))
         return self._judged(witness, began, said, process.returncode, killed, bag)
 
-    def _judged(
-        self, witness: "Witness", began: int, said: str, code: int | None, killed: bool, bag: str
-    ) -> dict[str, Any]:
+    def _judged(self, witness: "Witness", began: int, said: str, code: int, killed: bool, bag: str) -> dict[str, Any]:
         """Return the row: what does not depend on the flight's timing."""
         sent = [(at, setpoint) for at, setpoint in witness.commands if at >= began]
         commands = Commands.of(sent, Params(), Limits())
@@ -115,11 +109,8 @@ class ProcessFault(Fault):
         error = "did not end" if killed else "yes" if "Traceback" in said else "no"
         safe = error == "no" and commands.safe and "LOST" not in bag.upper()
         held, perfect = commands.disarm_seconds, self.demanded != verdict.DEAD
-        tqdm.write(
-            f"{self.what}: longest gap {commands.longest_gap:.0f} ms, {held:.2f} s disarmed, exit {code}: "
-            f"{said.strip()[-300:]}",
-            sys.stderr,
-        )
+        words = f"longest gap {commands.longest_gap:.0f} ms, {held:.2f} s disarmed, exit {code}: {said.strip()[-300:]}"
+        tqdm.write(f"{self.what}: {words}", sys.stderr)
         return self.row(
             vehicle=verdict.BALANCED if balanced else vehicle,
             ended=re.sub(r"\d+ ms old", "too old", witness.ended),
@@ -133,35 +124,28 @@ class ProcessFault(Fault):
         )
 
 
-class Witness:
-    """Hears every command on its way to the vehicle and every true state of it, whatever dies; a context manager.
+class Witness(socket.socket):
+    """A socket that hears every command on its way to the vehicle and every true state of it, whatever dies.
 
-    Attributes:
-        commands, truths: (time in ns, setpoint or true state (11,)).
-        pids: of the flight's processes, by name.
-        ended, recording: why the flight did not balance to its end, and why its recording stopped, if it says so.
+    ``commands`` and ``truths`` are (time in ns, setpoint or true state (11,)), ``pids`` those of the flight's
+    processes, by name; ``ended`` and ``recording`` say why the flight did not balance to its end and its recording
+    stopped, if it says so.
     """
 
     def __init__(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self.port: int = self._socket.getsockname()[1]
+        super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
+        self.bind(("127.0.0.1", 0))
+        self.port: int = self.getsockname()[1]
         self.commands: list[tuple[int, Setpoint]] = []
         self.truths: list[tuple[int, NDArray]] = []
         self.pids: dict[str, int] = {}
         self.ended = self.recording = ""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._socket.close()
-
-    def listen(self, seconds: float) -> bool:
+    def hear(self, seconds: float) -> bool:
         """Take what comes within so many seconds; return whether anything did."""
         end, heard = time.monotonic() + seconds, False
-        while (left := end - time.monotonic()) > 0 and select.select([self._socket], [], [], left)[0]:
-            data = self._socket.recv(65536)
+        while (left := end - time.monotonic()) > 0 and select.select([self], [], [], left)[0]:
+            data = self.recv(65536)
             kind, at = WITNESS.unpack_from(data)
             rest, heard = data[WITNESS.size :], True
             if kind == b"C":
@@ -230,7 +214,7 @@ def stop(process: str, seconds: float = math.inf):
         pid = witness.pids[process]
         os.kill(pid, signal.SIGSTOP)
         if seconds < math.inf:
-            witness.listen(seconds)
+            witness.hear(seconds)
             os.kill(pid, signal.SIGCONT)
 
     return hit
@@ -244,9 +228,9 @@ def send(process: str, *names: str, times: int = 1):
             for name in names:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(witness.pids[process], getattr(signal, name))
-                witness.listen(0.2)
+                witness.hear(0.2)
             if times > 1:
-                witness.listen(3.0)
+                witness.hear(3.0)
 
     return hit
 
@@ -261,7 +245,7 @@ def took_off(witness: Witness, process: subprocess.Popen) -> int:
     """Wait for the first armed command; return when it was sent, ns."""
     end = time.monotonic() + 120.0
     while time.monotonic() < end and process.poll() is None:
-        witness.listen(0.1)
+        witness.hear(0.1)
         armed = [at for at, setpoint in witness.commands if setpoint.armed]
         if armed and witness.pids:
             return armed[0]
@@ -271,8 +255,7 @@ def took_off(witness: Witness, process: subprocess.Popen) -> int:
 def end_all(process: subprocess.Popen, witness: Witness) -> bool:
     """End what is left of a flight; return whether its own process had to be killed."""
     left = process.poll() is None
-    if left:
-        process.kill()
+    process.kill()
     process.wait()
     time.sleep(0.3)
     for name, pid in witness.pids.items():
@@ -284,20 +267,18 @@ def end_all(process: subprocess.Popen, witness: Witness) -> bool:
 
 def small_disk(place: Path, size: int) -> None:
     """Mount a disk with so many bytes. Raises OSError where none can be mounted."""
-    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "fip", str(place)]
-    mounted = subprocess.run(command, capture_output=True, text=True, check=False)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "fip", str(place)]
+    mounted = subprocess.run(mount, capture_output=True, text=True, check=False)
     if mounted.returncode:
         raise OSError(f"no small disk can be mounted here: {mounted.stderr.strip()}")
 
 
 def bag_after(bag: Path, struck: int, stopped: bool) -> str:
     """Return the state of a recording, ``stopped`` in flight or not, and what it misses up to ``struck``, ns."""
-    state = verdict.state_of(bag)
-    if state.startswith("lost"):
+    state, flight = verdict.read_back(bag)
+    if flight is None:
         return state
-    with tempfile.TemporaryDirectory() as folder:
-        flight = bags.read(bag if state == "valid" else bags.recover(bag, Path(folder) / "recovered").output)
-        missing = (struck - int(flight.command.stamp[-1])) / NANO
+    missing = (struck - int(flight.command.stamp[-1])) / NANO
     if missing > 1.0:
         return f"{state}, MORE THAN 1 s LOST"
     state += ", up to the fault" if stopped or state == "recovered" else ""

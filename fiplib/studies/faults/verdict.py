@@ -3,6 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from fiplib import bags
 from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO, Params
+from fiplib.recording import Flight
 
 LEVEL = math.radians(10.0)
 """A vehicle that is disarmed with less tilt than this came down level, as tests/flight/test_failsafe.py asks, rad."""
@@ -33,12 +35,9 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """One row of the table.
+    """One row of the table, in a ``group`` of the page; ``what`` is injected, in words.
 
-    Attributes:
-        group: of the page.
-        what: is injected, in words.
-        demanded: the limit, or the person, that demands to give the rod up; empty if nothing does.
+    ``demanded``: the limit, or the person, that demands to give the rod up; empty if nothing does.
     """
 
     group: str
@@ -76,15 +75,9 @@ class Commands(NamedTuple):
         rates, thrust = np.abs(numbers[:, :3]), numbers[:, 3]
         within = (rates <= params.vehicle.max_body_rate).all(1) & (thrust >= 0.0) & (thrust <= limits.safety.max_thrust)
         not_finite = int((~np.isfinite(numbers)).any(1).sum())
-        last_armed = max(now for now, setpoint in sent if setpoint.armed)
-        return cls(
-            len(sent),
-            not_finite,
-            int((~within).sum()) - not_finite,
-            last_armed,
-            times[times > last_armed],
-            float(np.diff(times).max()) / 1e6,
-        )
+        beyond = int((~within).sum()) - not_finite
+        last_armed, gap = max(now for now, setpoint in sent if setpoint.armed), float(np.diff(times).max()) / 1e6
+        return cls(len(sent), not_finite, beyond, last_armed, times[times > last_armed], gap)
 
     @property
     def disarm_seconds(self) -> float:
@@ -113,13 +106,10 @@ def given_up(truth: NDArray, floor: float) -> str:
 def judge(safe: bool, balanced: bool, level: bool, perfect: bool, gaps: bool | None, demanded: str) -> str:
     """Say whether a flight met the target, and in which way. A flight that did not is named as such.
 
-    Args:
-        safe: no exception, all commands within bounds, disarmed at the end, the bag readable.
-        balanced: the rod stood to the end.
-        level: the motors were stopped with less than ``LEVEL`` of tilt.
-        perfect: a controller with perfect information keeps the rod.
-        gaps: whether it does so with the same gaps in its poses or commands; ``None`` if there were none.
-        demanded: who or what demands to give the rod up, if anything.
+    ``safe``: no exception, all commands within bounds, disarmed at the end, the bag readable; ``balanced``: the rod
+    stood to the end; ``level``: the motors were stopped with less than ``LEVEL`` of tilt; ``perfect``: a controller
+    with perfect information keeps the rod, and with the same ``gaps`` in its poses or commands (``None``: there were
+    none); ``demanded``: who or what demands to give the rod up, if anything.
     """
     if not safe:
         return "NOT MET: exception, command, disarming or bag"
@@ -144,15 +134,12 @@ def modes_of(path: Sequence[Mode]) -> str:
     return f"{counts}; at last {path[-1].value}"
 
 
-def state_of(bag: Path) -> str:
-    """Say whether a bag can be read, and if not, whether it can be recovered."""
+def read_back(bag: Path) -> tuple[str, Flight | None]:
+    """Read a bag, or what can be recovered of it; returns "valid", "recovered" or "lost (why)", and the flight."""
+    with suppress(bags.BagError):
+        return "valid", bags.read(bag)
     try:
-        bags.read(bag)
-    except bags.BagError:
-        try:
-            with tempfile.TemporaryDirectory() as folder:
-                bags.read(bags.recover(bag, Path(folder) / "recovered").output)
-        except bags.BagError as error:
-            return f"lost ({error})"
-        return "recovered"
-    return "valid"
+        with tempfile.TemporaryDirectory() as folder:
+            return "recovered", bags.read(bags.recover(bag, Path(folder) / "recovered").output)
+    except bags.BagError as error:
+        return f"lost ({error})", None

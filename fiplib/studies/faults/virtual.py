@@ -40,29 +40,21 @@ GONE = "the limit of 500 ms without poses"
 HOVER = Scenario("fault", "hover, pushed 3.5 s after the fault", 9.0, Hover(), (Push(START + 3.5, (0.004, 0.0)),))
 PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
 CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.5, ramp=2.0), pushes=(), description="circle of 0.8 m")
-ESTIMATED = Scenario(
-    "fault",
-    "circle of 0.4 m, length estimated from 1.2 m",
-    10.0,
-    Circle(0.4, 8.0),
-    params=Params().replace(piloting__initial_length=1.2, piloting__estimate=True),
-)
+UNKNOWN = Params().replace(piloting__initial_length=1.2, piloting__estimate=True)
+ESTIMATED = Scenario("fault", "circle of 0.4 m, length estimated from 1.2 m", 10.0, Circle(0.4, 8.0), params=UNKNOWN)
 PRESCRIBED = replace(CIRCLE, params=Params().replace(estimation__median_length=1))
 """The circle on which the pilot is given a length, without the median of its estimates."""
 
 
 @dataclass(frozen=True)
 class VirtualFault(Fault):
-    """A fault that is injected into a flight in virtual time, from ``START`` on.
+    """A fault that is injected into a flight of a scenario in virtual time, from ``START`` on.
 
     Attributes:
-        scenario: what is flown.
         frames: makes the fault of motion capture anew for each flight, from a generator.
-        solver: the fault of the solver, for so many ``calls`` of it.
-        estimates: the fault of the estimates.
+        solver, estimates: the fault of the solver, for so many ``calls`` of it; of the estimates.
         aborts: when the operator asks to land, and again for motors off, s after take-off.
-        blind: (start, end) in s after take-off between which no pose arrives that can be used.
-        deaf: (start, end) in s after take-off between which no command gets through.
+        blind, deaf: (start, end) in s after take-off between which no usable pose arrives; no command gets through.
     """
 
     scenario: Scenario = HOVER
@@ -89,7 +81,7 @@ class VirtualFault(Fault):
                 except Exception as raised:
                     error = f"{type(raised).__name__}: {raised}"
                 link.leave()
-            return self._judged(link, guard, error, verdict.state_of(bag))
+            return self._judged(link, guard, error, verdict.read_back(bag)[0])
 
     def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
         scenario, params = self.scenario, self.scenario.params
@@ -109,6 +101,7 @@ class VirtualFault(Fault):
         if (self.blind, self.deaf) != (NEVER, NEVER):
             gaps = balances(scenario, self.blind, self.deaf, dict(link.sent) if self.deaf != NEVER else None)
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
+        level = verdict.tilt_of(stopped) < verdict.LEVEL
         return self.row(
             modes=verdict.modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
             vehicle=verdict.BALANCED if balanced else verdict.given_up(stopped, LIMITS.safety.floor),
@@ -125,18 +118,14 @@ class VirtualFault(Fault):
             bag=bag,
             perfect_information=verdict.BALANCED if perfect else "rod lost",
             exact_with_same_gaps="" if gaps is None else verdict.BALANCED if gaps else "rod lost",
-            verdict=verdict.judge(
-                safe, balanced, verdict.tilt_of(stopped) < verdict.LEVEL, perfect, gaps, self.demanded
-            ),
+            verdict=verdict.judge(safe, balanced, level, perfect, gaps, self.demanded),
         )
 
 
 class FaultyLink(VirtualLink):
     """The simulated vehicle behind damaged poses, with the sender's rules in virtual time on the way out.
 
-    Attributes:
-        sent: (time in ns, setpoint) of all that left the sender.
-        truths: (time in ns, true state (11,)) at each frame.
+    ``sent``: (time in ns, setpoint) of all that left the sender; ``truths``: (time in ns, true state (11,)) a frame.
     """
 
     def __init__(self, scenario: Scenario, frames: FrameFault | None, deaf: tuple[float, float]) -> None:
@@ -250,16 +239,15 @@ def _poses(
     return VirtualFault("poses", what, scenario, frames, **more)
 
 
-def _change(
-    what: str,
-    made: Callable[[np.random.Generator], Change],
-    seconds: float,
-    every: int = 1,
-    blind: bool = False,
-) -> VirtualFault:
+def _change(what: str, change: Change, seconds: float, every: int = 1, blind: bool = False) -> VirtualFault:
     """Frames changed from ``START`` on for so many seconds; ``blind``: none that can be used arrives meanwhile."""
     gap = (START, START + seconds) if blind else NEVER
-    return _poses(what, lambda rng: inject.changed(made(rng), START, seconds, every), blind=gap)
+    return _poses(what, lambda rng: inject.changed(change, START, seconds, every), blind=gap)
+
+
+def _frozen(what: str, seconds: float, stamps: bool = False) -> VirtualFault:
+    frames, blind = lambda rng: inject.changed(inject.frozen(stamps), START, seconds), (START, START + seconds)
+    return _poses(what, frames, blind=blind)
 
 
 def _drop_out(seconds: float, scenario: Scenario = HOVER, words: str = "") -> VirtualFault:
@@ -296,9 +284,7 @@ VIRTUAL_FAULTS = {
         f"drop-out-{_duration(seconds).replace(' ', '')}": _drop_out(seconds)
         for seconds in (0.01, 0.03, 0.08, 0.15, 0.3, 0.45, 1.0, 5.0)
     },
-    "drop-out-80ms-pushed": _drop_out(0.08, PUSHED, ", pushed meanwhile"),
-    "drop-out-150ms-pushed": _drop_out(0.15, PUSHED, ", pushed meanwhile"),
-    "drop-out-300ms-pushed": _drop_out(0.3, PUSHED, ", pushed meanwhile"),
+    **{f"drop-out-{1e3 * s:.0f}ms-pushed": _drop_out(s, PUSHED, ", pushed meanwhile") for s in (0.08, 0.15, 0.3)},
     "drop-out-150ms-circle": _drop_out(0.15, CIRCLE, ", on the circle"),
     "frames-thinned": _poses("half of all frames lost, at random", lambda rng: inject.thinned(START, 0.5, rng)),
     "bursts-20ms": _poses("poses in bursts every 20 ms, for 2 s", lambda rng: inject.bursts(START, 2.0, 0.02)),
@@ -306,45 +292,40 @@ VIRTUAL_FAULTS = {
     "bursts-200ms": _poses("a burst after 200 ms", lambda rng: inject.bursts(START, 0.2, 0.2)),
     "delay-20ms": _poses("poses 20 ms later, for 2 s", lambda rng: inject.late(START, 2.0, 5)),
     "delay-50ms": _poses("poses 50 ms later, for 2 s", lambda rng: inject.late(START, 2.0, 12)),
-    "stamps-jitter": _change("stamps off by up to 150 ms, for 3 s", lambda rng: inject.jittered(0.15, rng), 3.0),
-    "stamps-jitter-5ms": _change("stamps off by up to 5 ms, for 3 s", lambda rng: inject.jittered(5e-3, rng), 3.0),
-    "stamps-duplicated": _change("two frames share each stamp, for 3 s", lambda rng: inject.coarse(1 / 120), 3.0),
-    "stamps-constant": _change("one stamp for all frames, for 1 s", lambda rng: inject.stamped(EPOCH + NANO), 1.0),
+    "stamps-jitter": _poses("stamps off by up to 150 ms, for 3 s",
+                            lambda rng: inject.changed(inject.jittered(0.15, rng), START, 3.0)),
+    "stamps-jitter-5ms": _poses("stamps off by up to 5 ms, for 3 s",
+                                lambda rng: inject.changed(inject.jittered(5e-3, rng), START, 3.0)),
+    "stamps-duplicated": _change("two frames share each stamp, for 3 s", inject.coarse(1 / 120), 3.0),
+    "stamps-constant": _change("one stamp for all frames, for 1 s", inject.stamped(EPOCH + NANO), 1.0),
     "frames-reversed": _poses("each three frames in reverse order, for 2 s",
                               lambda rng: inject.turned_about(START, 2.0, 3)),
-    "clock-forward": _change("stamps' clock steps 2 s forward for good", lambda rng: inject.stepped(2.0), ALWAYS),
-    "clock-backward": _change("stamps' clock steps 3 s backward for good", lambda rng: inject.stepped(-3.0), ALWAYS),
-    "clock-forward-30ms": _change("stamps' clock steps 30 ms forward", lambda rng: inject.stepped(0.03), ALWAYS),
-    "clock-backward-30ms": _change("stamps' clock steps 30 ms backward", lambda rng: inject.stepped(-0.03), ALWAYS),
-    "stamps-zero": _change("stamps of zero for 1 s", lambda rng: inject.stamped(0), 1.0),
-    "nan-once": _change("vehicle at NaN in one frame", lambda rng: inject.without("vehicle"), 0.0),
-    "nan-every-other": _change("rod at NaN in every other frame", lambda rng: inject.without("pendulum"), 3.0, 2),
-    "nan-80ms": _change("vehicle at NaN for 80 ms", lambda rng: inject.without("vehicle"), 0.08, blind=True),
-    "infinite": _change("rod at infinity for 80 ms", lambda rng: inject.without("pendulum", math.inf), 0.08,
-                        blind=True),
-    "outlier-once": _change("vehicle off by 0.5 m in one frame", lambda rng: inject.moved("vehicle", 0.5), 0.0),
-    "outlier-rod-once": _change("rod off by 0.5 m in one frame", lambda rng: inject.moved("pendulum", 0.0, 0.5), 0.0),
-    "outlier-tenth": _change("vehicle off by 0.5 m in every tenth frame, 3 s",
-                             lambda rng: inject.moved("vehicle", 0.5), 3.0, 10),
-    "outlier-80ms": _change("vehicle off by 0.5 m for 80 ms", lambda rng: inject.moved("vehicle", 0.5), 0.08,
-                            blind=True),
-    "outlier-for-good": _change("vehicle off by 0.5 m from then on", lambda rng: inject.moved("vehicle", 0.5), ALWAYS,
-                                blind=True),
-    "rod-off-2cm": _change("rod off by 2 cm from then on", lambda rng: inject.moved("pendulum", 0.02), ALWAYS),
-    "attitude-once": _change("vehicle's attitude off by 45 deg in one frame", lambda rng: inject.tilted(0.785), 0.0),
-    "swap-once": _change("bodies swapped in one frame", lambda rng: inject.swapped, 0.0),
-    "swap-80ms": _change("bodies swapped for 80 ms", lambda rng: inject.swapped, 0.08, blind=True),
-    "swap-for-good": _change("bodies swapped from then on", lambda rng: inject.swapped, ALWAYS, blind=True),
-    "frozen-80ms": _change("both poses frozen for 80 ms", lambda rng: inject.frozen(), 0.08, blind=True),
-    "frozen-for-good": _change("both poses frozen from then on", lambda rng: inject.frozen(), ALWAYS, blind=True),
-    "frame-repeated": _change("one frame again and again, with its stamp, for 80 ms",
-                              lambda rng: inject.frozen(stamps=True), 0.08, blind=True),
+    "clock-forward": _change("stamps' clock steps 2 s forward for good", inject.stepped(2.0), ALWAYS),
+    "clock-backward": _change("stamps' clock steps 3 s backward for good", inject.stepped(-3.0), ALWAYS),
+    "clock-forward-30ms": _change("stamps' clock steps 30 ms forward", inject.stepped(0.03), ALWAYS),
+    "clock-backward-30ms": _change("stamps' clock steps 30 ms backward", inject.stepped(-0.03), ALWAYS),
+    "stamps-zero": _change("stamps of zero for 1 s", inject.stamped(0), 1.0),
+    "nan-once": _change("vehicle at NaN in one frame", inject.without("vehicle"), 0.0),
+    "nan-every-other": _change("rod at NaN in every other frame", inject.without("pendulum"), 3.0, 2),
+    "nan-80ms": _change("vehicle at NaN for 80 ms", inject.without("vehicle"), 0.08, blind=True),
+    "infinite": _change("rod at infinity for 80 ms", inject.without("pendulum", math.inf), 0.08, blind=True),
+    "outlier-once": _change("vehicle off by 0.5 m in one frame", inject.moved("vehicle", 0.5), 0.0),
+    "outlier-rod-once": _change("rod off by 0.5 m in one frame", inject.moved("pendulum", 0.0, 0.5), 0.0),
+    "outlier-tenth": _change("vehicle off by 0.5 m in every tenth frame, 3 s", inject.moved("vehicle", 0.5), 3.0, 10),
+    "outlier-80ms": _change("vehicle off by 0.5 m for 80 ms", inject.moved("vehicle", 0.5), 0.08, blind=True),
+    "outlier-for-good": _change("vehicle off by 0.5 m from then on", inject.moved("vehicle", 0.5), ALWAYS, blind=True),
+    "rod-off-2cm": _change("rod off by 2 cm from then on", inject.moved("pendulum", 0.02), ALWAYS),
+    "attitude-once": _change("vehicle's attitude off by 45 deg in one frame", inject.tilted(0.785), 0.0),
+    "swap-once": _change("bodies swapped in one frame", inject.swapped, 0.0),
+    "swap-80ms": _change("bodies swapped for 80 ms", inject.swapped, 0.08, blind=True),
+    "swap-for-good": _change("bodies swapped from then on", inject.swapped, ALWAYS, blind=True),
+    "frozen-80ms": _frozen("both poses frozen for 80 ms", 0.08),
+    "frozen-for-good": _frozen("both poses frozen from then on", ALWAYS),
+    "frame-repeated": _frozen("one frame again and again, with its stamp, for 80 ms", 0.08, stamps=True),
     "quaternion-long": _change("vehicle's quaternion 1 % long in every third frame, 3 s",
-                               lambda rng: inject.longer("vehicle", 1.01), 3.0, 3),
-    "quaternion-zero": _change("rod's quaternion zero for 80 ms", lambda rng: inject.longer("pendulum", 0.0), 0.08,
-                               blind=True),
-    "quaternion-sign": _change("quaternions with the other sign in every other frame", lambda rng: inject.opposite,
-                               3.0, 2),
+                               inject.longer("vehicle", 1.01), 3.0, 3),
+    "quaternion-zero": _change("rod's quaternion zero for 80 ms", inject.longer("pendulum", 0.0), 0.08, blind=True),
+    "quaternion-sign": _change("quaternions with the other sign in every other frame", inject.opposite, 3.0, 2),
     "solver-raises-once": _solver("exception, once", inject.raising),
     "solver-raises-pushed": _solver("exceptions for 0.25 s, pushed meanwhile", inject.raising, 3 + 2, scenario=PUSHED),
     "solver-raises": _solver("exceptions from then on", inject.raising, math.inf,

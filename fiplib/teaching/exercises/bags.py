@@ -24,9 +24,7 @@ velocities = Exercise(
         "frames do not come evenly: divide each difference by its own time, not by the mean": (
             lambda t, p: np.diff(p, axis=0) / (np.ptp(t) / 1e9 / (len(t) - 1))
         ),
-        "frames do not come at exactly 240 Hz: divide each difference by its own time": (
-            lambda t, p: np.diff(p, axis=0) * 240.0
-        ),
+        "frames do not come at exactly 240 Hz: take each one's own time": lambda t, p: np.diff(p, axis=0) * 240.0,
         "the sign is wrong: later minus earlier": lambda t, p: -_velocities(t, p),
     },
     "np.diff(position, axis=0) by np.diff(stamp) in s; stamps are subtracted as whole numbers first",
@@ -39,12 +37,8 @@ length_from_lean = Exercise(
     lambda rng: (tilt := rng.normal(0.0, 0.03, 50), rng.uniform(0.15, 0.9) * tilt + rng.normal(0.0, 2e-3, 50))[::-1],
     {
         "that is half the length: the centre of mass lies at l/2": lambda d, tilt: (d @ tilt) / (tilt @ tilt),
-        "a mean of ratios is ruled by the moments of hardly any tilt: fit one slope": lambda d, tilt: (
-            2 * np.mean(d / tilt)
-        ),
-        "that regresses the tilt on the offset, whose noise biases the length": lambda d, tilt: (
-            2 * (d @ d) / (d @ tilt)
-        ),
+        "a mean of ratios is ruled by moments of hardly any tilt: fit a slope": lambda d, tilt: 2 * np.mean(d / tilt),
+        "that fits the tilt to the offset, whose noise biases the length": lambda d, tilt: 2 * (d @ d) / (d @ tilt),
         "the ratio is upside down: offset over tilt is a length": lambda d, tilt: 2 * (d @ tilt) / (d @ d),
     },
     "offset = (l/2) tilt: the slope that fits best is sum(offset * tilt) / sum(tilt^2)",
@@ -72,12 +66,8 @@ fresh = Exercise(
     _fresh,
     _stuttering,
     {
-        "a frozen tracker sends new stamps with an old pose: look at the position, too": (
-            lambda t, p: np.append(True, np.diff(t) > 0)
-        ),
-        "a frame sent again has the stamp of the one before: look at the stamps, too": (
-            lambda t, p: _fresh(np.arange(len(t)), p)
-        ),
+        "a frozen tracker sends new stamps: look at the position, too": lambda t, p: np.append(True, np.diff(t) > 0),
+        "a frame sent again has an old stamp: look at the stamps, too": lambda t, p: _fresh(np.arange(len(t)), p),
         "one coordinate may stand still by chance: frozen are all three": lambda t, p: _fresh(t, p, np.all),
         "that is the other way round: True keeps a frame": lambda t, p: ~_fresh(t, p),
         "the first frame has none before it: keep it, one value for each frame": lambda t, p: _fresh(t, p)[1:],

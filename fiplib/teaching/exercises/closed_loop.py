@@ -65,9 +65,7 @@ cautious_length = Exercise(
     lambda l, s, c: 1 / (1 / l + c * s / l**2),
     lambda rng: (rng.uniform(0.5, 1.5), rng.uniform(0.1, 0.4), rng.uniform(1.0, 3.0)),
     {
-        "that is the wrong side: too long a length lets the rod fall, so choose a shorter one": lambda l, s, c: (
-            l + c * s
-        ),
+        "that is the wrong side: too long a length lets the rod fall, choose a shorter one": lambda l, s, c: l + c * s,
         "that may fall below zero: the belief is Gaussian in 1/l, so take the step in 1/l": lambda l, s, c: l - c * s,
         "the deviation of 1/l is not that of l: it is deviation / length^2": lambda l, s, c: 1 / (1 / l + c * s),
         "the short side of l is the large side of 1/l: add": lambda l, s, c: 1 / (1 / l - c * s / l**2),

@@ -54,11 +54,7 @@ class Exercise:
             print(f"not yet: {refusal}")
 
     def grade(self, answer: Answer) -> None:
-        """Compare an answer with the truth at ``DRAWS`` random inputs.
-
-        Raises:
-            NotYet: the answer is wrong; the message says what is wrong with it.
-        """
+        """Compare an answer with the truth at ``DRAWS`` random inputs. Raises NotYet: says what is wrong with it."""
         rng = np.random.default_rng(0)
         trials = [self.draw(rng) for _ in range(DRAWS)]
         given, expected = _results(answer, trials), _results(self.truth, trials)

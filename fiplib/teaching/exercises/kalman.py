@@ -18,12 +18,8 @@ predict_covariance = Exercise(
     _predicted,
     lambda rng: (rng.normal(size=(4, 4)), *(positive_definite(rng, 4) for _ in range(2)), rng.uniform(0.05, 0.2)),
     {
-        "that is the printed form: J alone forgets the identity, and the filter what it knew": (
-            lambda j, p, q, step: j @ p @ j.T + q
-        ),
-        "dt J alone forgets the identity: x + dt f(x) has the derivative I + dt J": (
-            lambda j, p, q, step: step**2 * j @ p @ j.T + q
-        ),
+        "that is the printed form: J alone forgets the identity, and the past": lambda j, p, q, step: j @ p @ j.T + q,
+        "dt J forgets the identity: x + dt f(x) gives F = I + dt J": lambda j, p, q, step: step**2 * j @ p @ j.T + q,
         "dt is missing: f is a rate, a step of it is dt f": lambda j, p, q, step: _predicted(j, p, q, 1.0),
         "Q_e is missing: the filter would trust its model fully": lambda j, p, q, step: _predicted(j, p, 0 * q, step),
         "transposes are exchanged: F x has the covariance F P F'": lambda j, p, q, step: _predicted(j.T, p, q, step),

@@ -42,9 +42,7 @@ axis_matrix = Exercise(
     {
         "the matrix is still empty: five of its entries are not zero": lambda l, f: np.zeros((5, 5)),
         "the sign of g/l is wrong: a rod that leans falls further": lambda l, f: _axis(l, f, 3, 2, by=-1),
-        "the sign of the tilt in d'' is wrong: the seat moves away from under the rod": lambda l, f: _axis(
-            l, f, 3, 4, by=-1
-        ),
+        "the tilt in d'' has the wrong sign: the seat moves from under the rod": lambda l, f: _axis(l, f, 3, 4, by=-1),
         "the centre of mass lies at l/2, not at l: 2 g / l": lambda l, f: _axis(l, f, 3, 2, by=0.5),
         "lambda multiplies both terms of d'', also that of the tilt": lambda l, f: _axis(l, f, 3, 4, by=1 / f),
         "that is the paper's point mass: lambda is missing": lambda l, f: _axis(l, 1.0),
