@@ -172,8 +172,8 @@ def _walk(path: Path) -> Iterator[tuple[int, bytes]]:
             if at == len(_MAGIC) and records and records[0][0] == _MESSAGE:
                 records = None  # a file begins with its header: this was one
             if records is None:
-                # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged, as its length led
-                # here; not so if it is a chunk, whose two lengths agree: its messages must not be found twice.
+                # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged: its length led
+                # here. Not so a chunk, whose two lengths agree: its messages must not be found twice.
                 whole = end > at and content[at : at + 1] == b"\x06" and _framed(content, at + 9, end)
                 end = _next(content, end if whole else before + 1, channels)
                 yield _DAMAGE, max(end - at, 0).to_bytes(8)
