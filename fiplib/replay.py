@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy  # its parts are imported when they are first used
 
-from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.handover import HANDOVERS
-from fiplib.estimators.likelihood import maximum_likelihood
-from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
+from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
+from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATES, Params
@@ -35,12 +34,6 @@ MOST_SAMPLES = 250
 
 BY_CHANCE = 1e-3
 """Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
-
-FLOWN_WITH = (
-    "masses, the rod's inertia, noise, delays and lags are those of the flight's parameters, commands acted as sent, "
-    "and the rod stands in the vehicle's tracked point"
-)
-"""What the recommended estimator takes for granted."""
 
 
 class TimedWindow(NamedTuple):
@@ -154,26 +147,14 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
 
 def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
-    """Return the length of the rod from the poses of a whole flight, in linear time, or why there is none.
+    """Return the length of the rod from nothing but the two bodies of a whole flight, in linear time.
 
-    Args:
-        flight: the recorded flight, of any vehicle; nothing but its two bodies is read.
-        knowledge: priors of the laboratory. By default those of the flight's own parameters, with the rod tracked at
-            its middle as in all bags of ours; where a flight has none, those of a stranger (``Knowledge()``).
-        stated: fields of ``Knowledge`` that replace those, as ``seat_height=Told(0.08, 2e-3)``.
+    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them, as
+    ``seat_height=Told(0.08, 2e-3)``. The answer says what was assumed, or why it was refused.
     """
-    from fiplib.estimators.poses import estimate as poses  # compiled code: half a second to import
-    from fiplib.estimators.poses.rows import Body
+    from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
 
-    if knowledge is None:
-        own, middle = "params" in flight.metadata, stated.get("inertia_factor") is None
-        knowledge = Knowledge.of(flight.params) if own else Knowledge()
-        knowledge = replace(knowledge, marker_offset=MIDDLE if own and middle else None)
-    bodies = [
-        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
-        for body in (flight.vehicle, flight.pendulum)
-    ]
-    return poses.estimate(*bodies, replace(knowledge, **stated))
+    return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
 
 
 def estimate(flight: Flight, params: Params | None = None) -> Estimate:
@@ -188,11 +169,11 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
     ``params`` are others (vehicle, rod, noise) than those it was flown with; the rod's length is not read. Raises
     BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
     """
-    known = params is not None or "params" in flight.metadata
-    params = params or flight.params
+    knowledge = Knowledge.of(params) if params else Knowledge.of_flight(flight)
+    known, params = params or "params" in flight.metadata, params or flight.params
     seconds = params.estimation.raw_window
     if not known or why_not_refit(flight, seconds):
-        return length_from_poses(flight, params and Knowledge.of(params))
+        return length_from_poses(flight, knowledge)
     found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
     given = [answer for answer in found if answer.reason is None]
     if not given:
@@ -208,7 +189,7 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
         return Estimate(math.nan, math.nan, reason)
     length = math.exp(mean)
     deviation = length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum()))
-    return Estimate(length, deviation, assumed=(FLOWN_WITH,))
+    return Estimate(length, deviation, assumed=(ASSUMED,))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

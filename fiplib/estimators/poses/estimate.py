@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.checks import Refusal
@@ -12,6 +13,7 @@ from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem, Value, inertia_factor_of
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, Told, assumptions
 from fiplib.estimators.poses.rows import Body, cleaned, rows_of, without_jumps
+from fiplib.recording import Flight
 
 LARGEST_DOUBT = 3.0
 """Standard deviations between the two readings of the length from which on they disagree; 0.3 % by chance."""
@@ -83,6 +85,15 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
     except Refusal as refusal:
         found["reason"] = str(refusal)
     return PoseEstimate(**found | {"notes": tuple(found["notes"])})
+
+
+def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
+    """Return the length of the rod from the two bodies of a recorded flight; see ``estimate``."""
+    bodies = (
+        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
+        for body in (flight.vehicle, flight.pendulum)
+    )
+    return estimate(*bodies, knowledge)
 
 
 def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str]) -> Problem:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from fiplib.params import Params
+from fiplib.recording import Flight
 
 
 class Told(NamedTuple):
@@ -56,15 +57,21 @@ class Knowledge:
 
     @classmethod
     def of(cls, params: Params) -> "Knowledge":
-        """Return the masses, the noise of motion capture, the lag and the interval of lengths of ``params``."""
+        """Return what ``params`` say, and that the rod is tracked at its middle as in all bags of ours."""
         rod, vehicle, simulation = params.pendulum, params.vehicle, params.simulation
         ratio = rod.mass / (rod.mass + vehicle.mass)
         return cls(
+            marker_offset=MIDDLE,
             mass_ratio=Told(ratio, 0.02 * ratio),
             noise=(max(simulation.position_noise, 1e-6), max(simulation.attitude_noise, 1e-6)),
             lag=simulation.rate_lag,
             lengths=(params.estimation.length_min, params.estimation.length_max),
         )
+
+    @classmethod
+    def of_flight(cls, flight: Flight) -> "Knowledge":
+        """Return what the flight's own parameters say; a stranger's flight has none and says nothing."""
+        return cls.of(flight.params) if "params" in flight.metadata else cls()
 
     @property
     def shape(self) -> tuple[float, float, float]:
@@ -80,16 +87,15 @@ def assumptions(
     ``variant`` says on what the length rests: "told" inertia, a "uniform" rod, or a point at its "middle"; ``distance``
     in m is of the two tracked points, nan if it is not used.
     """
-    said = {
-        "told": f"the rod's inertia factor is {inertia.value:.3f} +- {inertia.tolerance:.3f}",
-        "uniform": f"the rod is uniform: its inertia factor is {inertia.value:.3f} +- {inertia.tolerance:.3f}",
-        "middle": f"the rod's tracked point is {_mm(offset)} from its middle",
-    }
+    factor = f"{inertia.value:.3f} +- {inertia.tolerance:.3f}"
+    said = {"told": [f"the rod's inertia factor is {factor}"], "middle": []}
+    sentences = said.get(variant, [f"the rod is uniform: its inertia factor is {factor}"])
+    if offset.tolerance < ANY_OFFSET.tolerance:
+        sentences.append(f"the rod's tracked point is {_mm(offset)} from its middle")
     if not flies:
-        return said[variant], "the base moves as it is driven, whatever the rod does"
+        return *sentences, "the base moves as it is driven, whatever the rod does"
     mass = knowledge.mass_ratio
-    sentences = [
-        said[variant],
+    sentences += [
         f"the seat is {_mm(knowledge.seat_height)} above the vehicle's tracked point",
         f"the vehicle's centre of mass is {_mm(knowledge.com_height)} above that point",
         f"the rod has {mass.value:.3f} +- {mass.tolerance:.3f} of the mass of rod and vehicle",
