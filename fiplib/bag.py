@@ -1,7 +1,6 @@
 """``fip bag``: what a bag holds, how long its rod was, and what is left of a damaged one."""
 
 import argparse
-import json
 from pathlib import Path
 
 from fiplib.bags.info import describe
@@ -39,6 +38,6 @@ def run(options: argparse.Namespace) -> int:
         print(describe(flight, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
         return 0
     found = replay.length_from_poses(flight, **report.stated(options))
-    say = report.sentences if not options.json else lambda *said: json.dumps(report.answer(*said), indent=2)
+    say = report.in_json if options.json else report.sentences
     print(say(found, flight.notes))
     return 0 if found.reason is None else 3

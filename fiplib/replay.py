@@ -147,10 +147,10 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
 
 def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
-    """Return the length of the rod from nothing but the two bodies of a whole flight, in linear time.
+    """Return the length of the rod from nothing but the two bodies of a whole flight.
 
-    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them, as
-    ``seat_height=Told(0.08, 2e-3)``. The answer says what was assumed, or why it was refused.
+    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them. The
+    answer says what was assumed, or why it was refused.
     """
     from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
 

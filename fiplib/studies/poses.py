@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiplib.dynamics import PLANT, body_z, quaternion_rate, rk4, z_axis
+from fiplib.dynamics import PLANT, body_z, rk4, z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge
@@ -96,7 +96,8 @@ def seat_plant(params: Params, seat: float) -> ca.Function:
     alpha = (total + m_p * factor / (m + m_p * (1 - factor)) * across(total)) / (m + m_p)
     q_ddot = -ca.sumsqr(q_dot) * q - factor / r * across(alpha - force / m_p)
     fall, thrust_dot = ca.SX([0, 0, GRAVITY]), (command[3] - thrust) / params.simulation.thrust_lag
-    turning = quaternion_rate(attitude, rate)
+    axis, w = attitude[:3], attitude[3]
+    turning = ca.vertcat(w * rate + ca.cross(axis, rate), -ca.dot(axis, rate)) / 2
     x_dot = ca.vertcat(velocity, alpha - fall, turning, q_dot, q_ddot, rate_dot, thrust_dot)
     return ca.Function("plant", [x, command, force], [x_dot])
 

@@ -1,6 +1,7 @@
 """The pose estimator's words for a command line: what may be stated, and its answer in words and as plain values."""
 
 import argparse
+import json
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -53,6 +54,11 @@ def answer(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> dict:
         },
         **{name: [_number(part) for part in getattr(found, name)] for name in names},
     }
+
+
+def in_json(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> str:
+    """Return ``answer`` as one JSON object."""
+    return json.dumps(answer(found, notes), indent=2)
 
 
 def sentences(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> str:
