@@ -19,6 +19,9 @@ FLIGHTS := $(BAGS:%=fly-%)
 # DASK_SCHEDULER_ADDRESS=tcp://host:8786 in the environment, or on make's command line, the workers of that scheduler.
 STUDIES := --all
 
+# What `make bench` measures, one process each: make bench BENCH='mpc bags'.
+BENCH := mpc estimation bags flights growth
+
 LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive-bibtex-extra latexmk cm-super
 
 .DEFAULT_GOAL := help
@@ -58,8 +61,8 @@ sweep: export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
 sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
 	$(PY) -m fiplib sweep $(STUDIES)
 
-bench: .venv/installed ## time the controller, the estimator and a sweep
-	@set -e; for script in benchmarks/*.py; do echo "$$script"; $(PY) "$$script"; done
+bench: .venv-bench/installed ## time everything beside its alternatives, each topic in a process: benchmarks/results.csv
+	@set -e; for topic in $(BENCH); do .venv-bench/bin/python -m benchmarks.$$topic --save; done
 
 paper: latex paper/build/main.pdf ## typeset the reproduction report, paper/build/main.pdf (needs LaTeX)
 	@echo "The report is in paper/build/main.pdf"
@@ -95,6 +98,16 @@ clean: ## remove what was made; data/ and .venv stay
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
+	@touch $@
+
+# The rivals of the benchmarks: their own environment and their own lock, so that figures and tests stay light.
+.venv-bench/locked: benchmarks/requirements.lock
+	$(PYTHON) -m venv --clear .venv-bench
+	.venv-bench/bin/python -m pip install --disable-pip-version-check --require-hashes --requirement $<
+	@touch $@
+
+.venv-bench/installed: .venv-bench/locked pyproject.toml
+	.venv-bench/bin/python -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
 # --- figures, tables, claims. One process draws all that is out of date: a product whose files are missing or which has a

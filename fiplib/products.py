@@ -36,6 +36,7 @@ PRODUCTS = {
     "fig11-handover": Product("fiplib.studies.handover:fig11_handover", studies=("handover",)),
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
+    "fig14-growth": Product("fiplib.studies.benchmarks:fig14_growth", benchmarks=("growth",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -49,6 +50,7 @@ PRODUCTS = {
     "table9-landscapes": Product("fiplib.studies.landscapes:table9_landscapes", studies=("landscapes",)),
     "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
+    "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

@@ -1,10 +1,13 @@
 """Flight -> ROS 2 bag."""
 
+import contextlib
 import functools
 import json
+import signal
 import struct
+import threading
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
@@ -44,6 +47,24 @@ def close_bag(writer: Writer, entries: Mapping[str, str], counts: Mapping[str, i
         writer.close()
     except OSError as error:
         raise BagError(f"{writer.path}: cannot finish the bag ({error})") from error
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Put off Ctrl-C and SIGTERM until the block is left: half a chunk is a damaged bag."""
+    if threading.current_thread() is not threading.main_thread():  # where alone signals arrive
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+    for number in came[:1]:
+        signal.raise_signal(number)
 
 
 class BagRecorder(Recorder):
@@ -133,7 +154,8 @@ class BagRecorder(Recorder):
         ready = self._pending[: len(self._pending) - keep]
         del self._pending[: len(ready)]
         try:
-            self._write(ready)
+            with _undisturbed():
+                self._write(ready)
         except OSError as error:
             raise BagError(f"{self.path}: cannot write any further ({error})") from error
 
@@ -147,8 +169,9 @@ class BagRecorder(Recorder):
 
     def close(self) -> None:
         """Write what is pending, the index and the metadata."""
-        self._flush(0)
-        close_bag(self._writer, self._metadata, self._counts)
+        with _undisturbed():
+            self._flush(0)
+            close_bag(self._writer, self._metadata, self._counts)
 
     def __enter__(self) -> Self:
         return self

@@ -19,8 +19,17 @@ Rows = list[dict[str, float | str]]
 Quantities = dict[str, float]
 """A table of ``benchmarks/``: numbers by name."""
 
-BENCHMARKS = {"solve_times": "bench_mpc.py", "sweep_rates": "bench_sweep.py", "deadlines": "bench_deadlines.py"}
-"""The tables of ``benchmarks/``, each with the script there that writes it when called with ``--save``."""
+BENCHMARKS = {
+    "solve_times": "python -m benchmarks.mpc --save",
+    "sweep_rates": "python benchmarks/bench_sweep.py --save",
+    "deadlines": "python benchmarks/bench_deadlines.py --save",
+    "results": "make bench",
+    "growth": "python -m benchmarks.growth --save",
+}
+"""The tables of ``benchmarks/``, each with the command that writes it."""
+
+RESULTS = ("results", "growth")
+"""Those of them that have several columns: ``Rows``, and not ``Quantities``."""
 
 
 class JournalError(FipError):
@@ -40,7 +49,7 @@ class Sources:
         """The shell command that computes it from the beginning: flights, studies and measurements first."""
         steps = ["make bags"] if self.bags else []
         steps += [f"make sweep STUDIES='{' '.join(self.studies)}'"] if self.studies else []
-        steps += [f"python benchmarks/{BENCHMARKS[table]} --save" for table in self.benchmarks]
+        steps += [BENCHMARKS[table] for table in self.benchmarks]
         return "; ".join([*steps, "make figures"])
 
     @property
@@ -65,7 +74,7 @@ class Sources:
 
         flights = [bags.read(data / bag) for bag in self.bags]
         tables = [read(study, data) for study in self.studies]
-        return flights + tables + [quantities(data.parent / "benchmarks" / f"{name}.csv") for name in self.benchmarks]
+        return flights + tables + [measured(name, data) for name in self.benchmarks]
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,16 @@ class Product(Sources):
 
 def read(study: str, data: Path = Path("data")) -> Rows:
     """Return the finished table of a study; empty where ``make sweep`` has not completed it yet."""
-    path = data / "sweeps" / f"{study}.csv"
+    return _rows(data / "sweeps" / f"{study}.csv")
+
+
+def measured(name: str, data: Path = Path("data")) -> Rows | Quantities:
+    """Return a table of ``benchmarks/``, which lies beside the folder ``data``; empty where there is none yet."""
+    path = data.parent / "benchmarks" / f"{name}.csv"
+    return _rows(path) if name in RESULTS else quantities(path)
+
+
+def _rows(path: Path) -> Rows:
     if not path.exists():
         return []
     with path.open(newline="", encoding="utf-8") as file:

@@ -1,12 +1,13 @@
-"""The measured times of ``benchmarks/``: figure 13 and table 10."""
+"""The measured times of ``benchmarks/``: figures 13 and 14, tables 10 and 12."""
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
-from fiplib.reproduction.sources import Quantities
-from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
-from fiplib.reproduction.tables import Table
+from fiplib.reproduction.sources import Quantities, Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
+from fiplib.reproduction.tables import NONE, Table
 
 
 def fig13_deadlines(found: Quantities) -> Figure:
@@ -55,3 +56,81 @@ def table10_rates(rates: Quantities) -> Table:
         )
     ]
     return Table(("Workers", "Flights / s", "Simulated s / s", "Speed-up", "Origin"), lines, "rrrrl")
+
+
+OURS, FLOOR = "fip", "floor"
+"""Names among the contenders of a benchmark."""
+
+
+def table12_speed(rows: Rows) -> Table:
+    """Table 12: each piece of work beside the fastest rival whose answers agree, and the ratios of all others."""
+    lines = []
+    for work in dict.fromkeys(row["work"] for row in rows if row["contender"] == OURS and row["calls"] > 0):
+        own, *others = sorted((row for row in rows if row["work"] == work), key=lambda row: row["contender"] != OURS)
+        if not others or not own["p50_us"] > 0.0 or own["topic"] == "growth":
+            continue  # nothing beside it, or a number that is no time
+        timed = sorted((row for row in others if row["calls"] > 0), key=lambda row: row["ratio"])
+        best = next((row for row in timed if row["agrees"]), None)
+        rest = [f"{_name(row)} {row['ratio']:.3g}" for row in timed if row is not best]
+        rest += [f"{row['contender']} {str(row['remark']).partition(':')[0]}" for row in others if row["calls"] == 0]
+        beside = (_name(best), _milliseconds(best["p50_us"]), f"{best['ratio']:.3g}") if best else (NONE,) * 3
+        times = _milliseconds(own["p50_us"]), _milliseconds(own["p99_us"])
+        lines.append((str(work), *times, *beside, ", ".join(rest) or NONE))
+    header = (
+        "Work",
+        "ours, p50 (ms)",
+        "p99 (ms)",
+        "Fastest rival that agrees",
+        "p50 (ms)",
+        "Ratio",
+        "Ratios of others",
+    )
+    return Table(header, lines, "lrrlrrl")
+
+
+def _name(row: dict[str, float | str]) -> str:
+    """A contender with what its ratio must not be quoted without."""
+    extrapolated = ", extrapolated" if "extrapolated" in str(row["remark"]) else ""
+    return f"{row['contender']}{extrapolated}{'' if row['agrees'] else ' (differs)'}"
+
+
+def _milliseconds(microseconds: float) -> str:
+    value = microseconds / 1e3
+    return f"{value:.3g}" if value < 1e3 else f"{value:.0f}"
+
+
+def fig14_growth(rows: Rows) -> Figure:
+    """Fig. 14: time over the size of the work, with fitted exponents, beside the physical floor."""
+    works = list(dict.fromkeys(str(row["work"]) for row in rows))
+    figure = Figure(figsize=(COLUMN, 1.45 * -(-len(works) // 2) + 0.3), layout="constrained")
+    panels = figure.subplots(-(-len(works) // 2), 2, squeeze=False).ravel()
+    for axes, work in zip(panels, works, strict=False):
+        title, _, size = work.rpartition(", ")
+        found = [row for row in rows if row["work"] == work]
+        colours = iter((ORANGE, GREEN, PURPLE))
+        for contender in dict.fromkeys(str(row["contender"]) for row in found):
+            sizes, times = np.array([(r["size"], r["p50_us"] / 1e3) for r in found if r["contender"] == contender]).T
+            if contender == FLOOR:
+                axes.plot(sizes, times, "--", color=GREY, label="floor")
+            else:
+                label = f"{contender} {exponent(sizes, times):.2f}"
+                axes.plot(sizes, times, ".-", color=BLUE if contender == OURS else next(colours), label=label)
+        axes.set(xscale="log", yscale="log", xlabel="duration (s)" if size == "seconds" else f"{size} (1)")
+        axes.set_xticks(ticks := sorted({row["size"] for row in found})[::2], [f"{tick:.0f}" for tick in ticks])
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_ylabel("time (ms)")
+        axes.set_title(title)
+        axes.margins(x=0.05, y=0.1)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high * (high / low) ** 0.9)  # room for the legend
+        axes.legend(fontsize=6, loc="upper left")
+    for axes in panels[len(works) :]:
+        axes.remove()
+    origin(figure, "measured; numbers: fitted exponents; simulated data")
+    return figure
+
+
+def exponent(sizes: NDArray, times: NDArray) -> float:
+    """The slope of a straight line through log time over log size; of the upper half of the sizes, three at least."""
+    half = min(len(sizes) - 3, len(sizes) // 2) if len(sizes) > 3 else 0
+    return float(np.polyfit(np.log(sizes[half:]), np.log(times[half:]), 1)[0])

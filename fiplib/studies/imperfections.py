@@ -79,7 +79,7 @@ class ImperfectPlant(Plant):
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         one = self._imperfection
         late, *gust = self._rng.normal(size=3)
-        at = self._substep + self._delay + round(max(0.0, one.late + one.jitter * late) * self._rate)
+        at = self._substep + self.delay + round(max(0.0, one.late + one.jitter * late) * self._rate)
         self._last = max(self._last, at)  # none overtakes another
         rates = one.gain * np.asarray(body_rate) + one.gust * np.array([*gust, 0.0])
         super().command(rates, one.thrust * thrust, self._last)

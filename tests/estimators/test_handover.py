@@ -12,6 +12,7 @@ from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.handover import HANDOVERS, PrintedHandOver, TrustedHandOver
 from fiplib.params import Params
 from fiplib.recording import Flight
+from fiplib.reproduction import measures
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import handover as study
 
@@ -174,7 +175,7 @@ def test_a_wrong_first_length_that_fells_the_printed_loop_leaves_the_trusted_one
 
 def test_a_long_rod_is_found_within_three_seconds_from_far_too_short(long_rod):
     times, used = long_rod.time(long_rod.length), long_rod.length.column("used")
-    assert long_rod.survived and study.settled(times, used / 1.5) < 3.0
+    assert long_rod.survived and measures.settling_time(times, np.abs(used / 1.5 - 1) >= study.SETTLED) < 3.0
     assert used.max() < 1.5 * 1.01
     assert (used[1:] / used[:-1]).max() <= PARAMS.piloting.largest_rise + 1e-12
 
@@ -221,11 +222,10 @@ def test_a_row_of_the_study_says_what_became_of_the_flight(monkeypatch):
     assert printed["longest_used"] == pytest.approx(3.2) and printed["largest_lean"] > told["largest_lean"]
 
 
-def test_settled_is_the_time_from_which_on_the_length_stays_near():
+def test_the_settling_time_is_that_from_which_on_the_length_stays_near():
     times = np.array([0.0, 1.0, 2.0, 3.0])
-    assert study.settled(times, np.array([0.5, 1.02, 0.94, 1.01])) == 3.0
-    assert study.settled(times, np.array([1.0, 1.02, 0.96, 1.01])) == 0.0
-    assert math.isnan(study.settled(times, np.array([1.0, 1.0, 1.0, 0.9])))
+    for ratios, settled in (((0.5, 1.02, 0.94, 1.01), 3.0), ((1.0, 1.02, 0.96, 1.01), 0.0), ((1, 1, 1, 0.9), math.inf)):
+        assert measures.settling_time(times, np.abs(np.array(ratios) - 1) >= study.SETTLED) == settled
 
 
 def test_policies_are_listed_by_name():
