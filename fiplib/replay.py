@@ -149,8 +149,7 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
     """Return the length of the rod from nothing but the two bodies of a whole flight.
 
-    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them. The
-    answer says what was assumed, or why it was refused.
+    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     """
     from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
 
@@ -166,8 +165,7 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
     scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
     refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
 
-    ``params`` are others (vehicle, rod, noise) than those it was flown with; the rod's length is not read. Raises
-    BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
+    ``params`` replace those of the flight. Raises BagError, ValueError: other version; under 16 frames to a window.
     """
     knowledge = Knowledge.of(params) if params else Knowledge.of_flight(flight)
     known, params = params or "params" in flight.metadata, params or flight.params
