@@ -161,19 +161,19 @@ def coupled_plant(params: Params) -> ca.Function:
     return ca.Function("plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
 
 
-def _z_axis(x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any]:
-    """Third column of the rotation matrix of the unit quaternion (x, y, z, w), of numbers or of symbols."""
+def z_axis(x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any]:
+    """Third column of the rotation matrix of the unit quaternion (x, y, z, w), of numbers, arrays or symbols."""
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
 def body_z(q: ca.SX) -> ca.SX:
     """Return the body's z axis in the world, R e3: the thrust direction, of the quaternion q = (x, y, z, w)."""
-    return ca.vertcat(*_z_axis(*ca.vertsplit(q)))
+    return ca.vertcat(*z_axis(*ca.vertsplit(q)))
 
 
 def body_z_of(q: ArrayLike) -> NDArray:
     """Return the body's z axis in the world, (3,), of a unit quaternion (4,) as x, y, z, w: ``body_z`` in numbers."""
-    return np.array(_z_axis(*(float(value) for value in q)))
+    return np.array(z_axis(*(float(value) for value in q)))
 
 
 def inclination(direction: ArrayLike) -> float:

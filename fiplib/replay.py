@@ -8,19 +8,23 @@ which windows another estimator would have been given. Whoever needs windows of 
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # its parts are imported when they are first used
 
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.handover import HANDOVERS
-from fiplib.estimators.likelihood import maximum_likelihood
+from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
+from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
 from fiplib.recording import TOPICS, BagError, Flight, Measurement, Series
+
+if TYPE_CHECKING:
+    from fiplib.estimators.poses.estimate import PoseEstimate
 
 STRIDE = 14
 """Every how many runs of the estimator a spaced window comes: half a window apart, 7 in each of our flights."""
@@ -142,21 +146,32 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)))
 
 
-def estimate(flight: Flight, params: Params | None = None) -> Estimate:
-    """The length of the rod from a whole flight, with a standard deviation, or the reason why it cannot be told.
+def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
+    """Return the length of the rod from nothing but the two bodies of a whole flight.
 
-    The recommended estimator (``likelihood.maximum_likelihood``) answers on windows that follow each other without
-    overlap. Their answers are independent; the logarithms of the lengths are averaged by their precision. What several
-    windows scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a
-    reason to refuse.
-
-    ``params`` are others (vehicle, rod, noise) than those it was flown with; the rod's length is not read. Raises
-    BagError, ValueError: parameters of another version; fewer than 16 frames to a window.
+    ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     """
-    params = params or flight.params
+    from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
+
+    return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
+
+
+def estimate(flight: Flight, params: Params | None = None) -> Estimate:
+    """Return the length of the rod from a whole flight, with a standard deviation, or the reason why there is none.
+
+    A flight that says how it was flown (its metadata hold parameters, or ``params`` are given) and holds commands is
+    estimated with both (``likelihood.maximum_likelihood``), on windows that follow each other without overlap. Their
+    answers are independent; the logarithms of the lengths are averaged by their precision. What several windows
+    scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
+    refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
+
+    ``params`` replace those of the flight. Raises BagError, ValueError: other version; under 16 frames to a window.
+    """
+    knowledge = Knowledge.of(params) if params else Knowledge.of_flight(flight)
+    known, params = params or "params" in flight.metadata, params or flight.params
     seconds = params.estimation.raw_window
-    if reason := why_not_refit(flight, seconds):
-        return Estimate(math.nan, math.nan, reason)
+    if not known or why_not_refit(flight, seconds):
+        return length_from_poses(flight, knowledge)
     found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
     given = [answer for answer in found if answer.reason is None]
     if not given:
@@ -171,7 +186,8 @@ def estimate(flight: Flight, params: Params | None = None) -> Estimate:
         reason = f"the windows contradict each other beyond chance: they give lengths from {low:.3f} to {high:.3f} m"
         return Estimate(math.nan, math.nan, reason)
     length = math.exp(mean)
-    return Estimate(length, length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum())))
+    deviation = length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum()))
+    return Estimate(length, deviation, assumed=(ASSUMED,))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

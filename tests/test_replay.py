@@ -8,6 +8,7 @@ import pytest
 
 from fiplib import bags, replay
 from fiplib.estimators.likelihood import maximum_likelihood
+from fiplib.estimators.poses.knowledge import Told
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
 from fiplib.pilot import Hover
 from fiplib.recording import BagError, Flight
@@ -123,14 +124,31 @@ def test_garbage_gives_no_length_but_the_reason_of_the_estimator(estimated):
         assert "the model does not explain the window" in found.reason
 
 
-def test_a_flight_too_short_or_without_commands_gives_no_length_and_says_why(estimated):
+def test_a_flight_whose_commands_do_not_suffice_is_estimated_from_its_poses(estimated):
     early = estimated.time(estimated.command) < 2.0
     command = dataclasses.replace(
         estimated.command, stamp=estimated.command.stamp[early], values=estimated.command.values[early]
     )
-    for part, words in ((command, "overlap for 2.0 s only, one estimation window is 2.5 s"), (None, "no commands")):
-        found = replay.estimate(dataclasses.replace(estimated, command=part))
-        assert np.isnan(found.length) and words in found.reason
+    answers = [replay.estimate(dataclasses.replace(estimated, command=part)) for part in (command, None)]
+    answers.append(replay.length_from_poses(estimated))
+    assert len({(answer.length, answer.standard_deviation) for answer in answers}) == 1
+    assert abs(answers[0].length - 1.0) < 1.96 * answers[0].standard_deviation
+    assert any("seat" in sentence for sentence in answers[0].assumed)
+
+
+def test_a_flight_of_a_stranger_is_estimated_from_its_poses_with_weaker_assumptions(estimated):
+    stranger = dataclasses.replace(estimated, metadata={"origin": "unknown"})
+    found, own = replay.estimate(stranger), replay.length_from_poses(estimated)
+    # where the rod is tracked is in no bag of a stranger: it may be off the middle, or not uniform
+    assert found.standard_deviation > 1.5 * own.standard_deviation
+    assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
+    assert replay.length_from_poses(stranger, marker_offset=Told(0.0, 1e-3)).length == pytest.approx(
+        own.length, abs=1e-3
+    )
+
+
+def test_what_an_estimate_took_for_granted_is_said(estimated):
+    assert "commands" in replay.estimate(estimated).assumed[0]
 
 
 def test_a_single_window_gives_its_own_answer(estimated):

@@ -10,12 +10,14 @@ from typing import NamedTuple
 class Estimate:
     """A length in m and its standard deviation in m (nan if none is stated); ``reason`` says why it was refused.
 
-    A refused estimate has a length of nan, so that it cannot be taken for one.
+    A refused estimate has a length of nan, so that it cannot be taken for one. ``assumed`` are sentences: what was
+    taken for granted, where an estimator says so.
     """
 
     length: float
     standard_deviation: float
     reason: str | None = None
+    assumed: tuple[str, ...] = ()
 
 
 class Estimator(NamedTuple):

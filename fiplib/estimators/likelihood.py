@@ -78,6 +78,12 @@ KNOT = 0.1
 LARGEST_WANDER = 0.1
 """Of the steps, rad: 6 deg in each ``KNOT``, far beyond what an inner loop errs by."""
 
+ASSUMED = (
+    "masses, the rod's inertia, noise, delays and lags are those of the flight's parameters, commands acted as sent, "
+    "and the rod stands in the vehicle's tracked point"
+)
+"""What ``maximum_likelihood`` takes for granted, where it is asked."""
+
 
 def maximum_likelihood(
     window: RawWindow,

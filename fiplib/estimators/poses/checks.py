@@ -1,0 +1,165 @@
+"""What speaks against an estimate: frames, units and bodies before the fit, innovations and priors after it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiplib.estimators.poses.filter import KINDS, Rows, run
+from fiplib.estimators.poses.fit import TOLD, Fit, Problem
+from fiplib.estimators.poses.rows import Body, arm
+
+LEAST_POSES = 64
+"""Fewest poses of each body: a quarter of a second at 240 Hz, and never enough to be sure of anything."""
+
+SHORTEST_ARM = 0.1
+"""Tracked points closer than this, m, are taken for the rod's foot."""
+
+LARGEST_LEAN = 0.3
+"""Refused above this angle, rad: terms of second order are taken from smoothed poses, which is then too coarse."""
+
+LARGEST_SPREAD = 0.05
+"""Refused above this relative standard deviation: the priors alone, with no motion at all, end at 10 % for 1 m."""
+
+LARGEST_CONFLICT = 4.0
+"""Refused above this many standard deviations between a stated value and the flight: one in 16 000 by chance."""
+
+LARGEST_JUMP, JUMP_SPAN = 3.0, 0.1
+"""Refused above this mean squared innovation over a span in s; noise alone reaches 2 in a flight of minutes."""
+
+LARGEST_CORRELATION = 0.3
+"""Refused above this autocorrelation of innovations."""
+
+LARGEST_NOISE = 5.0
+"""Refused above this ratio of fitted to stated noise."""
+
+
+class Refusal(Exception):
+    """Why there is no length and what to do about it, in one sentence."""
+
+
+def check_bodies(vehicle: Body, rod: Body, distance: float) -> None:
+    """Raise ``Refusal`` if units, frames or the kinds of bodies cannot be right. ``distance`` is nan or theirs in m."""
+    if distance > 20.0:
+        raise Refusal(
+            f"the two bodies are {distance:.0f} m apart: positions are in millimetres, it seems; divide them by 1000"
+        )
+    if distance > SHORTEST_ARM:
+        along = np.median(arm(vehicle, rod), axis=0) / distance
+        if along[2] < -0.7:
+            raise Refusal("the rod is below the vehicle: the bodies are swapped, or z points down; "
+                          "swap them or turn the frame")  # fmt: skip
+        if along[2] < 0.7:
+            axis = "xy"[int(np.argmax(np.abs(along[:2])))]
+            raise Refusal(f"the rod stands along {axis}, not along z: turn the world's frame so that z points up")
+    for body, name in ((vehicle, "vehicle"), (rod, "rod")):
+        if body.axis is not None and float(np.median(body.axis[:, 2])) < 0.7:
+            raise Refusal(
+                f"the {name}'s body z axis does not point up: check the order of its quaternion (x, y, z, w) and the "
+                "frame of its body"
+            )
+    if distance <= SHORTEST_ARM and rod.axis is None:
+        raise Refusal(
+            f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot, where it does not move: "
+            "track its middle, or record its orientation too"
+        )
+    leans = [np.arccos(np.clip(body.axis[:, 2], -1.0, 1.0)) for body in (vehicle, rod) if body.axis is not None]
+    if distance > SHORTEST_ARM:
+        reach = arm(vehicle, rod)
+        leans.append(np.arctan2(np.linalg.norm(reach[:, :2], axis=1), reach[:, 2]))
+    leaned = max(float(np.quantile(lean, 0.995)) for lean in leans)  # single noisy poses aside
+    if leaned > LARGEST_LEAN:
+        raise Refusal(f"rod or vehicle leans by {math.degrees(leaned):.0f} deg, too far for the model; "
+                      "leave out the stretch where it falls")  # fmt: skip
+
+
+def check_motion(fit: Fit, rows: Rows, innovation: NDArray) -> None:
+    """Raise ``Refusal`` if there is no maximum, or if something moves as nothing in the model does."""
+    if not (fit.converged and np.all(np.isfinite(fit.covariance))):
+        raise Refusal(
+            "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
+        )
+    jump, when = largest_jump(rows.time, innovation)
+    if jump > LARGEST_JUMP:
+        raise Refusal(
+            f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
+            f"{jump:.1f} times as large as expected): it was pushed or mistracked; leave that stretch out"
+        )
+
+
+def check_knowledge(fit: Fit, problem: Problem) -> None:
+    """Raise ``Refusal`` if the flight contradicts a prior, or an assumption made instead of one."""
+    conflicts = np.abs(fit.conflicts()[: len(TOLD)])
+    worst = int(np.argmax(conflicts))
+    if conflicts[worst] <= LARGEST_CONFLICT:
+        return
+    told = problem.knowledge.inertia_factor, problem.knowledge.marker_offset
+    if worst < 2 and told[worst] is None:
+        raise Refusal(
+            "the rod's tracked point is not at its middle, or the rod is not uniform: the flight contradicts both by "
+            f"{conflicts[worst]:.0f} standard deviations; say which by the inertia factor or the marker's offset"
+        )
+    raise Refusal(
+        f"the flight contradicts the {TOLD[worst]} {fit.prior.means[worst]:.3f} +- {fit.prior.tolerances[worst]:.3f} "
+        f"by {conflicts[worst]:.0f} standard deviations: measure it again, or state a wider tolerance"
+    )
+
+
+def check_noise(noise: dict[str, float], whiteness: dict[str, float], stated: tuple[float, float]) -> None:
+    """Raise ``Refusal`` if the noise is not what was stated, or the innovations are not white."""
+    ratios = {name: value / stated[name in ("tilt", "direction")] for name, value in noise.items()}
+    loud = max(ratios, key=ratios.__getitem__)
+    if ratios[loud] > LARGEST_NOISE:
+        raise Refusal(
+            f"the {loud}'s noise comes out {ratios[loud]:.0f} times as large as stated: the model does not explain "
+            "the motion; check the frames and the stamps, or state the noise"
+        )
+    name = max(whiteness, key=whiteness.__getitem__)
+    if whiteness[name] > LARGEST_CORRELATION:
+        raise Refusal(
+            f"the innovations of the {name} are not white (correlation {whiteness[name]:.2f}): the model does not "
+            "explain the motion; check the frames, the stamps and whether the rod stands freely in its seat"
+        )
+
+
+def check_length(length: float, deviation: float, interval: tuple[float, float]) -> None:
+    """Raise ``Refusal`` if the length lies outside the interval asked for, or is hardly known."""
+    least, most = interval
+    if not least < length < most:
+        raise Refusal(
+            f"the best length, {length:.3g} m, lies outside the interval from {least:g} to {most:g} m: widen it"
+        )
+    if deviation > LARGEST_SPREAD * length:
+        raise Refusal(
+            f"too little excitation: the standard deviation is {100 * deviation / length:.0f} % of the length, not "
+            f"below {100 * LARGEST_SPREAD:.0f} %; record longer, or move more"
+        )
+
+
+def innovations_of(fit: Fit, rows: Rows) -> tuple[NDArray, dict[str, float]]:
+    """Return the standardised innovations (n, axes), and by kind of row their largest autocorrelation."""
+    innovation = run(rows, fit.theta[None], innovations=True).innovation
+    kinds = [kind for kind in range(len(KINDS)) if rows.has(kind)]
+    return innovation, {KINDS[kind]: _correlation(innovation[rows.kind == kind]) for kind in kinds}
+
+
+def _correlation(innovation: NDArray, lags: int = 10) -> float:
+    """Largest autocorrelation in absolute value of innovations (n, axes) at lags of 1 to 10 rows."""
+    values = innovation[min(len(innovation) // 8, 30) :]  # the first rows only find the state
+    power = float(np.mean(values**2))
+    return max(abs(float(np.mean(values[lag:] * values[:-lag]))) / power for lag in range(1, lags + 1))
+
+
+def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:
+    """Return the largest mean squared innovation over ``JUMP_SPAN``, and its time from the first row in s.
+
+    The first tenth of a second does not count.
+    """
+    power = np.mean(innovation**2, axis=1)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    ends = np.searchsorted(time, time + JUMP_SPAN)
+    counts = ends - np.arange(len(time))
+    fair = (counts >= max(8, int(np.median(counts)) // 2)) & (time > time[0] + 0.1)
+    means = np.where(fair, (total[ends] - total[:-1]) / np.maximum(counts, 1), 0.0)
+    at = int(np.argmax(means))
+    return float(means[at]), float(time[at] - time[0])
