@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fiplib.bags.decoding import RATES, Decoder
+from fiplib.bags.mending import mended
 from fiplib.bags.messages import IGNORE_RATES, SIDECAR, genuine, typestore
 from fiplib.bags.recovery import intact_messages
 from fiplib.bags.roles import BODIES, Place, places_of
@@ -178,6 +179,8 @@ def _checked(role: str, decoder: Decoder, kind: str, notes: list[str]) -> Poses 
     if role == "command":
         stamp, values = _commands(kind, stamp, values, notes)
     values = values[:, : len(entry.names)]
+    if role in BODIES:
+        stamp, received, values = mended(role, stamp, received, values, notes)
     if not len(stamp):
         return None
     _check_stamps(stamp, strict=role != "length")

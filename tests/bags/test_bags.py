@@ -26,6 +26,7 @@ from fiplib import bag as bag_command
 from fiplib import recording
 from fiplib.bags import messages as layouts
 from fiplib.bags.decoding import Decoder
+from fiplib.bags.mending import mended
 from fiplib.bags.reader import read
 from fiplib.bags.recovery import recover
 from fiplib.bags.sources import Block, Stored
@@ -736,10 +737,6 @@ def command(type_mask: int) -> bytes:
 
 NAN, STAMP = float("nan"), 10**18
 FAULTS = {
-    "NaN position": (changed(2, position=(NAN, 0.0, 0.0)), "quad/pose", "message 2 of 5 holds a NaN"),
-    "infinite position": (changed(4, position=(0.0, float("inf"), 0.0)), "quad/pose", "message 4 of 5"),
-    "NaN orientation": (changed(0, orientation=(NAN, 0.0, 0.0, 1.0)), "quad/pose", "message 0 of 5"),
-    "zero quaternion": (changed(3, orientation=(0.0,) * 4), "quad/pose", "quaternion of message 3 has norm 0"),
     "long quaternion": (changed(1, orientation=(0.0, 0.0, 0.0, 1.002)), "quad/pose", "has norm 1.002"),
     "stamp goes back": (changed(3, stamp=STAMP), "quad/pose", "stamp of message 3 .* is not after"),
     "stamp stands still": (changed(1, stamp=STAMP), "quad/pose", "stamp of message 1"),
@@ -786,6 +783,43 @@ def test_each_fault_of_a_topic_is_one_line_with_file_and_topic(tmp_path: Path, f
     with pytest.raises(BagError, match=words) as caught:
         read(lab)
     assert str(lab) in str(caught.value) and topic in str(caught.value) and "\n" not in str(caught.value)
+
+
+MENDED = {
+    "NaN position": (changed(2, position=(NAN, 0.0, 0.0)), "vehicle: 1 of 5 messages hold no pose: they are left out"),
+    "infinite position": (changed(4, position=(0.0, float("inf"), 0.0)), "vehicle: 1 of 5 messages hold no pose"),
+    "NaN orientation": (changed(0, orientation=(NAN, 0.0, 0.0, 1.0)), "vehicle: 1 of 5 messages hold no pose"),
+    "zero quaternion": (changed(3, orientation=(0.0,) * 4), "vehicle: 1 of 5 messages hold no pose"),
+    "sent twice": ([MOCAP[0], *MOCAP], "vehicle: 1 of 6 messages were sent twice: one of each is used"),
+}
+
+
+@pytest.mark.parametrize("fault", MENDED)
+def test_a_frame_without_a_pose_or_sent_twice_is_left_out_and_counted(tmp_path: Path, fault: str) -> None:
+    messages, words = MENDED[fault]
+    flight = read(foreign(tmp_path / "lab", messages))
+    [note] = flight.notes
+    assert note.startswith(words)
+    assert len(flight.vehicle.stamp) == (5 if fault == "sent twice" else 4)
+    assert np.isfinite(flight.vehicle.position).all() and (np.diff(flight.vehicle.stamp) > 0).all()
+
+
+def test_stamps_are_sorted_or_replaced_only_where_one_cause_is_likely() -> None:
+    rng, count = np.random.default_rng(3), 400
+    stamp = np.arange(1, count + 1, dtype=np.int64) * 4_000_000
+    values = np.concatenate([rng.normal(size=(count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))], axis=1)
+    swapped, notes = stamp.copy(), []
+    swapped[[50, 51]] = swapped[[51, 50]]
+    at, log, poses = mended("rod", swapped, stamp + 7, values, notes)
+    np.testing.assert_array_equal(at, stamp)
+    np.testing.assert_array_equal(poses[50], values[51])
+    assert (np.diff(log) >= 0).all() and notes == ["rod: 1 of 400 messages came out of order: sorted by their stamps"]
+    at, _, _ = mended("rod", np.zeros_like(stamp), stamp + 7, values, notes := [])
+    np.testing.assert_array_equal(at, stamp + 7)
+    assert notes[0].startswith("rod: no message has a stamp")
+    two_publishers = np.sort(stamp.reshape(2, -1), axis=0).T.ravel()  # every second stamp lies far back
+    at, _, _ = mended("rod", two_publishers, stamp + 7, values, notes := [])
+    assert (np.diff(at) < 0).any() and notes == []  # left as it is: the reader refuses it
 
 
 def test_commands_without_body_rates_are_left_out_and_counted(tmp_path: Path) -> None:
