@@ -71,10 +71,10 @@ def table12_speed(rows: Rows) -> Table:
             continue  # nothing beside it, or a number that is no time
         timed = sorted((row for row in others if row["calls"] > 0), key=lambda row: row["ratio"])
         best = next((row for row in timed if row["agrees"]), None)
-        rest = [f"{_name(row)} {row['ratio']:.3g}" for row in timed if row is not best]
+        rest = [f"{_name(row)} {_figures(row['ratio'])}" for row in timed if row is not best]
         rest += [f"{row['contender']} {str(row['remark']).partition(':')[0]}" for row in others if row["calls"] == 0]
-        beside = (_name(best), _milliseconds(best["p50_us"]), f"{best['ratio']:.3g}") if best else (NONE,) * 3
-        times = _milliseconds(own["p50_us"]), _milliseconds(own["p99_us"])
+        beside = (_name(best), _figures(best["p50_us"] / 1e3), _figures(best["ratio"])) if best else (NONE,) * 3
+        times = _figures(own["p50_us"] / 1e3), _figures(own["p99_us"] / 1e3)
         lines.append((str(work), *times, *beside, ", ".join(rest) or NONE))
     header = (
         "Work",
@@ -94,8 +94,8 @@ def _name(row: dict[str, float | str]) -> str:
     return f"{row['contender']}{extrapolated}{'' if row['agrees'] else ' (differs)'}"
 
 
-def _milliseconds(microseconds: float) -> str:
-    value = microseconds / 1e3
+def _figures(value: float) -> str:
+    """Three significant figures, or whole numbers above a thousand."""
     return f"{value:.3g}" if value < 1e3 else f"{value:.0f}"
 
 
