@@ -68,7 +68,7 @@ class Chromosome:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Evolution:
     """Result of one run of the genetic algorithm with G generations of N candidates.
 
     Attributes:
@@ -119,7 +119,7 @@ class MedianFilter:
         return float(np.median(self._values))
 
 
-def estimate(window: Window, params: Params, rng: np.random.Generator) -> Estimate:
+def estimate(window: Window, params: Params, rng: np.random.Generator) -> Evolution:
     """Find the length that explains a window best, with the genetic algorithm of the paper's section 2.3.
 
     The first of ``params.estimation.generations`` populations is drawn uniformly; each later one is bred from the
@@ -149,7 +149,7 @@ def estimate(window: Window, params: Params, rng: np.random.Generator) -> Estima
     fitness = known[populations]
     best_codes = np.take_along_axis(populations, fitness.argmin(axis=1)[:, None], axis=1)[:, 0]
     best = best_codes[fitness.min(axis=1).argmin()]
-    return Estimate(
+    return Evolution(
         length=float(chromosome.length(best)),
         standard_deviation=_standard_deviation(int(best), chromosome, window, estimation),
         fitness=float(known[best]),

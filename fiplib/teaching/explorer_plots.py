@@ -47,7 +47,7 @@ class WindowFit:
     lengths: NDArray
     fitness: NDArray
     best: float
-    found: ga.Estimate
+    found: ga.Evolution
     seconds: float
 
 

@@ -10,7 +10,7 @@ import pytest
 from fiplib.params import NANO
 from fiplib.recording import Measurement
 from fiplib.studies.faults import campaign, injection
-from fiplib.studies.faults.verdict import DISARM_SECONDS, Fault, judge
+from fiplib.studies.faults.judging import DISARM_SECONDS, Fault, judge
 
 ROOT = Path(__file__).parents[2]
 with (ROOT / "data/faults.csv").open(newline="", encoding="utf-8") as file:

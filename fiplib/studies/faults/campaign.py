@@ -14,8 +14,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fiplib.studies.faults.judging import Fault
 from fiplib.studies.faults.processes import PROCESS_FAULTS
-from fiplib.studies.faults.verdict import Fault
 from fiplib.studies.faults.virtual import VIRTUAL_FAULTS
 from fiplib.studies.journal import Journal
 

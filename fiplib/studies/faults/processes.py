@@ -40,8 +40,8 @@ from fiplib.flight.setpoint import Mode, Setpoint
 from fiplib.params import NANO, FipError, Params
 from fiplib.pilot import Pilot
 from fiplib.recording import Measurement
-from fiplib.studies.faults import verdict
-from fiplib.studies.faults.verdict import Commands, Fault
+from fiplib.studies.faults import judging
+from fiplib.studies.faults.judging import Commands, Fault
 
 HIT = 2.0
 """Processes are hit at this time after take-off, s; push-hover pushes at 5.3 s."""
@@ -104,23 +104,23 @@ class ProcessFault(Fault):
         balanced = (up - began) / NANO > duration - 0.1 and upright
         off = commands.disarming[0] if len(commands.disarming) else commands.last_armed
         stopped = next((truth for at, truth in witness.truths if at > off), None)
-        level = stopped is None or verdict.tilt_of(stopped) < verdict.LEVEL
-        vehicle = "gone" if stopped is None else verdict.given_up(stopped, Limits().safety.floor)
+        level = stopped is None or judging.tilt_of(stopped) < judging.LEVEL
+        vehicle = "gone" if stopped is None else judging.given_up(stopped, Limits().safety.floor)
         error = "did not end" if killed else "yes" if "Traceback" in said else "no"
         safe = error == "no" and commands.safe and "LOST" not in bag.upper()
-        held, perfect = commands.disarm_seconds, self.demanded != verdict.DEAD
+        held, perfect = commands.disarm_seconds, self.demanded != judging.DEAD
         words = f"longest gap {commands.longest_gap:.0f} ms, {held:.2f} s disarmed, exit {code}: {said.strip()[-300:]}"
         tqdm.write(f"{self.what}: {words}", sys.stderr)
         return self.row(
-            vehicle=verdict.BALANCED if balanced else vehicle,
+            vehicle=judging.BALANCED if balanced else vehicle,
             ended=re.sub(r"\d+ ms old", "too old", witness.ended),
             not_finite=commands.not_finite,
             out_of_bounds=commands.out_of_bounds,
-            disarm_s=f">={verdict.DISARM_SECONDS:g}" if held >= verdict.DISARM_SECONDS else f"{held:.2f}",
+            disarm_s=f">={judging.DISARM_SECONDS:g}" if held >= judging.DISARM_SECONDS else f"{held:.2f}",
             uncaught_exception=error,
             bag=bag,
-            perfect_information=verdict.BALANCED if perfect else "rod lost",
-            verdict=verdict.judge(safe, balanced, level, perfect, None, self.demanded),
+            perfect_information=judging.BALANCED if perfect else "rod lost",
+            verdict=judging.judge(safe, balanced, level, perfect, None, self.demanded),
         )
 
 
@@ -275,7 +275,7 @@ def small_disk(place: Path, size: int) -> None:
 
 def bag_after(bag: Path, struck: int, stopped: bool) -> str:
     """Return the state of a recording, ``stopped`` in flight or not, and what it misses up to ``struck``, ns."""
-    state, flight = verdict.read_back(bag)
+    state, flight = judging.read_back(bag)
     if flight is None:
         return state
     missing = (struck - int(flight.command.stamp[-1])) / NANO
@@ -290,25 +290,25 @@ def _process(what: str, hit: Callable[[Witness], None], *arguments: str, **more:
 
 
 def _operator(what: str, *signals: str) -> ProcessFault:
-    return ProcessFault("operator", what, send("pilot", *signals), demanded=verdict.OPERATOR)
+    return ProcessFault("operator", what, send("pilot", *signals), demanded=judging.OPERATOR)
 
 
 PROCESS_FAULTS = {
-    "kill-pilot": _process("kill -9 of the pilot", send("pilot", "SIGKILL"), demanded=verdict.DEAD),
-    "kill-sender": _process("kill -9 of the command sender", send("sender", "SIGKILL"), demanded=verdict.DEAD),
-    "kill-vehicle": _process("kill -9 of the simulated vehicle", send("vehicle", "SIGKILL"), demanded=verdict.DEAD),
+    "kill-pilot": _process("kill -9 of the pilot", send("pilot", "SIGKILL"), demanded=judging.DEAD),
+    "kill-sender": _process("kill -9 of the command sender", send("sender", "SIGKILL"), demanded=judging.DEAD),
+    "kill-vehicle": _process("kill -9 of the simulated vehicle", send("vehicle", "SIGKILL"), demanded=judging.DEAD),
     "kill-estimator": _process("kill -9 of the estimator", send("estimator", "SIGKILL"), *ESTIMATED),
     "kill-estimators": _process("kill -9 of each estimator started", send("estimator", "SIGKILL", times=4), *ESTIMATED),
     "kill-recorder": _process("kill -9 of the recorder", send("recorder", "SIGKILL")),
-    "kill-pilot-and-recorder": _process("kill -9 of pilot and recorder", both, demanded=verdict.DEAD),
+    "kill-pilot-and-recorder": _process("kill -9 of pilot and recorder", both, demanded=judging.DEAD),
     "hang-estimator": _process("estimator hangs for good", stop("estimator"), *ESTIMATED),
     "hang-recorder": _process("recorder hangs for 2 s, as on a stalled disk", stop("recorder", 2.0)),
     "hang-sender-50ms": ProcessFault("link", "sender blocked for 50 ms", stop("sender", 0.05)),
     "hang-sender-150ms": ProcessFault("link", "sender blocked for 150 ms", stop("sender", 0.15)),
-    "hang-sender": ProcessFault("link", "sender blocked for good", stop("sender"), demanded=verdict.DEAD),
+    "hang-sender": ProcessFault("link", "sender blocked for good", stop("sender"), demanded=judging.DEAD),
     "hang-pilot-50ms": _process("pilot hangs for 50 ms", stop("pilot", 0.05)),
     "hang-pilot-150ms": _process("pilot hangs for 150 ms", stop("pilot", 0.15)),
-    "hang-pilot-2s": _process("pilot hangs for 2 s", stop("pilot", 2.0), demanded=verdict.PULSE),
+    "hang-pilot-2s": _process("pilot hangs for 2 s", stop("pilot", 2.0), demanded=judging.PULSE),
     "disk-full": ProcessFault("recording", "disk full in flight", lambda witness: None, disk=RESERVE + (150 << 10)),
     "ctrl-c": _operator("Ctrl-C", "SIGINT"),
     "ctrl-c-twice": _operator("Ctrl-C twice: motors off", "SIGINT", "SIGINT"),

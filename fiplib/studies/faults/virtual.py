@@ -26,10 +26,10 @@ from fiplib.pilot import Circle, Hover, Pilot, Tick
 from fiplib.recording import EPOCH, Measurement
 from fiplib.simulate import Push, Scenario, SimulatedEstimator
 from fiplib.studies.faults import injection as inject
-from fiplib.studies.faults import verdict
+from fiplib.studies.faults import judging
 from fiplib.studies.faults.injection import Change, EstimateFault, FrameFault, SolverFault
+from fiplib.studies.faults.judging import Commands, Fault
 from fiplib.studies.faults.perfect_information import NEVER, balances
-from fiplib.studies.faults.verdict import Commands, Fault
 
 LIMITS = Limits()
 """Of the failsafe and the command sender, in every flight."""
@@ -81,7 +81,7 @@ class VirtualFault(Fault):
                 except Exception as raised:
                     error = f"{type(raised).__name__}: {raised}"
                 link.leave()
-            return self._judged(link, guard, error, verdict.read_back(bag)[0])
+            return self._judged(link, guard, error, judging.read_back(bag)[0])
 
     def _judged(self, link: "FaultyLink", guard: Guard, error: str, bag: str) -> dict[str, Any]:
         scenario, params = self.scenario, self.scenario.params
@@ -101,10 +101,10 @@ class VirtualFault(Fault):
         if (self.blind, self.deaf) != (NEVER, NEVER):
             gaps = balances(scenario, self.blind, self.deaf, dict(link.sent) if self.deaf != NEVER else None)
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
-        level = verdict.tilt_of(stopped) < verdict.LEVEL
+        level = judging.tilt_of(stopped) < judging.LEVEL
         return self.row(
-            modes=verdict.modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
-            vehicle=verdict.BALANCED if balanced else verdict.given_up(stopped, LIMITS.safety.floor),
+            modes=judging.modes_of([entry.after for entry in path if ended is None or entry.stamp < ended.stamp]),
+            vehicle=judging.BALANCED if balanced else judging.given_up(stopped, LIMITS.safety.floor),
             ended=levelled.reason if levelled and not balanced else "",
             largest_a_cm=f"{100 * offsets[:, 0].max():.1f}",
             largest_b_cm=f"{100 * offsets[:, 1].max():.1f}",
@@ -116,9 +116,9 @@ class VirtualFault(Fault):
             disarm_s=f"{commands.disarm_seconds:.2f}",
             uncaught_exception=error or "no",
             bag=bag,
-            perfect_information=verdict.BALANCED if perfect else "rod lost",
-            exact_with_same_gaps="" if gaps is None else verdict.BALANCED if gaps else "rod lost",
-            verdict=verdict.judge(safe, balanced, level, perfect, gaps, self.demanded),
+            perfect_information=judging.BALANCED if perfect else "rod lost",
+            exact_with_same_gaps="" if gaps is None else judging.BALANCED if gaps else "rod lost",
+            verdict=judging.judge(safe, balanced, level, perfect, gaps, self.demanded),
         )
 
 
@@ -336,7 +336,7 @@ VIRTUAL_FAULTS = {
     "solver-late": _solver("takes 12.5 ms, for 60 solves", inject.taking(0.0125), 60),
     "solver-slow": _solver("takes 80 ms, once", inject.taking(0.08)),
     "solver-hangs-250ms": _solver("hangs for 250 ms", inject.taking(0.25), blind=(START, START + 0.25)),
-    "solver-hangs": _solver("hangs for 2 s", inject.taking(2.0), blind=(START, START + 2.0), demanded=verdict.PULSE),
+    "solver-hangs": _solver("hangs for 2 s", inject.taking(2.0), blind=(START, START + 2.0), demanded=judging.PULSE),
     "estimate-silent": _estimates("no estimate from then on", lambda answer, count: None),
     "estimate-nan": _estimates("estimates of NaN", inject.estimated(math.nan)),
     "estimate-absurd": _estimates("estimates of -1, 0 and 1000 m", inject.estimated(-1.0, 0.0, 1e3)),
@@ -352,8 +352,8 @@ VIRTUAL_FAULTS = {
     "deaf-100ms": _deaf("no command gets through for 100 ms, pushed meanwhile", 0.1, PUSHED),
     "deaf-300ms": _deaf("no command gets through for 300 ms", 0.3),
     "deaf-1s": _deaf("no command gets through for 1 s", 1.0),
-    "abort": VirtualFault("operator", "abort", aborts=(START,), demanded=verdict.OPERATOR),
-    "abort-circle": VirtualFault("operator", "abort on the circle", CIRCLE, aborts=(START,), demanded=verdict.OPERATOR),
+    "abort": VirtualFault("operator", "abort", aborts=(START,), demanded=judging.OPERATOR),
+    "abort-circle": VirtualFault("operator", "abort on the circle", CIRCLE, aborts=(START,), demanded=judging.OPERATOR),
     "push-far": VirtualFault("vehicle", "push of 60 mN s, beyond saving",
                              replace(HOVER, pushes=(Push(START, (0.06, 0.0)),))),
     "push-strong": VirtualFault("vehicle", "push of 15 mN s", replace(HOVER, pushes=(Push(START, (0.015, 0.0)),))),
