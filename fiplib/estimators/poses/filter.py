@@ -50,7 +50,7 @@ LE, R, OFFSET, H, HC, MU, Q, OMEGA, ZETA, ZERO, NV, NT, NR, ND, NF, LEVER = rang
 noises (m, rad), and of the density of a white force on the rod (rad^2/s^3 of its angular acceleration); and b."""
 
 DYNAMIC, STATES = 7, 10
-"""Number of states: s, nu, u, w, w', q, beta move; c_rod, c_tilt, c_direction do not."""
+"""How many states move (s, nu, u, w, w', q, beta), and how many there are with c_rod, c_tilt, c_direction."""
 
 LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
