@@ -28,7 +28,7 @@ EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidge
 COMMANDS = {
     "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recorded flight holds and how long its rod is; recover a damaged one"),
+    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; recover or convert one"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),

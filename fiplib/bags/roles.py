@@ -83,7 +83,7 @@ def _guessed(source: Source, known: Mapping[str, Place]) -> dict[str, tuple[Plac
             for body, height in _bodies(source, topic).items()
             if (place := Place(topic, body)) not in taken
         }
-        found = {role: choice for role, choice in _two(heights, missing).items() if role in missing}
+        found = {role: choice for role, choice in two_bodies(heights, missing).items() if role in missing}
     if "command" not in known:
         kinds = {topic: stored.type for topic, stored in source.topics.items() if stored.count}
         named = [topic for topic, kind in kinds.items() if kind in COMMANDS and _COMMAND.search(topic.lower())]
@@ -93,7 +93,7 @@ def _guessed(source: Source, known: Mapping[str, Place]) -> dict[str, tuple[Plac
     return found
 
 
-def _two(heights: Mapping[Place, float], missing: list[str]) -> dict[str, tuple[Place, str]]:
+def two_bodies(heights: Mapping[Place, float], missing: list[str]) -> dict[str, tuple[Place, str]]:
     """Vehicle and pendulum among the places of poses, by their names or by their heights in m."""
     rods = [place for place in heights if _PENDULUM.search(str(place).lower())]
     others = [place for place in heights if place not in rods]

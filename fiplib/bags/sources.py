@@ -3,6 +3,7 @@
 Messages come in blocks, a chunk of the file at a time: what a bag needs in memory does not grow with its size.
 """
 
+import shlex
 import shutil
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -119,9 +120,9 @@ def _information(path: Path) -> Mapping[str, Any]:
 
 def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
     if path.is_file():
-        if path.suffix == ".bag":
-            command = f"rosbags-convert --src {path} --dst {path.with_suffix('')}"
-            raise BagError(f"{path}: a bag of ROS 1; convert it to ROS 2 with: {command}")
+        if is_ros1(path) or path.suffix.lower() in (".csv", ".tsv"):
+            kind = "a bag of ROS 1" if is_ros1(path) else "a CSV file"
+            raise BagError(f"{path}: {kind}; convert it into a ROS 2 bag with: {suggestion(path)}")
         if path.suffix not in (".mcap", ".db3", ".zst", ".zstd") and not _magic(path):
             raise BagError(f"{path}: not a bag; give the bag's directory or its .mcap file")
         return [path]
@@ -133,6 +134,16 @@ def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
     return files
 
 
+def is_ros1(path: Path) -> bool:
+    """Whether a file is a bag of ROS 1, by its first bytes or its name."""
+    return path.suffix == ".bag" or _magic(path) == "ros1"
+
+
+def suggestion(path: Path) -> str:
+    """The command that converts a recording of another kind."""
+    return f"fip bag convert {shlex.quote(str(path))}"
+
+
 def _no_bag(path: Path, count: str) -> BagError:
     return BagError(f"{path}: not a bag: neither metadata.yaml nor exactly one .mcap file (there are {count})")
 
@@ -141,7 +152,7 @@ def _magic(file: Path) -> str:
     """The kind of a file by its first bytes."""
     with file.open("rb") as stream:
         head = stream.read(16)
-    kinds = {b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3", ZSTD: "zstd"}
+    kinds = {b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3", b"#ROSBAG": "ros1", ZSTD: "zstd"}
     return next((kind for magic, kind in kinds.items() if head.startswith(magic)), "")
 
 

@@ -658,7 +658,7 @@ def test_the_same_flight_comes_out_of_every_storage(bag: Path, tmp_path: Path, h
 
 def test_a_bag_of_ros_1_is_named_with_the_converter(tmp_path: Path) -> None:
     (tmp_path / "lab.bag").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(BagError, match=r"ROS 1; .* rosbags-convert --src .*lab\.bag --dst .*lab$"):
+    with pytest.raises(BagError, match=r"ROS 1; .* fip bag convert .*lab\.bag$"):
         read(tmp_path / "lab.bag")
 
 

@@ -1,0 +1,43 @@
+"""The subcommands of ``fip bag`` and what they take."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from fiplib.bags.csv_files import POSE, UNITS, Stated
+from fiplib.recording import ROLES
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Add info, length, recover and convert; return the parser of length, which takes more."""
+    commands: Any = parser.add_subparsers(dest="command", required=True)
+    info = commands.add_parser("info", help="say what a bag holds, and check it")
+    length = commands.add_parser("length", help="say how long the rod is, from the two tracked bodies alone")
+    for command in (info, length):
+        command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
+        command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
+                             help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
+    rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
+    rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
+    rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
+    convert = commands.add_parser("convert", help="write a CSV file of motion capture, or a ROS 1 bag, into a new bag")
+    convert.add_argument("source", type=Path, help="the CSV file or the .bag file; it is not changed")
+    convert.add_argument(
+        "--output", type=Path, metavar="BAG", help="folder of the new bag (default: SOURCE, no suffix)"
+    )
+    table = convert.add_argument_group("CSV files", "What an export of Motive or Vicon does not say itself.")
+    table.add_argument("--columns", metavar="MAPPING",
+                       help="which column is what, by names in the header or numbers from 1: time=, vehicle= and "
+                            f"pendulum=, each body with its {', '.join(POSE)}, all between commas; frame= in place of "
+                            "time= takes frame numbers, with --rate")  # fmt: skip
+    table.add_argument("--unit", choices=sorted(UNITS), help="of positions (default: the header's, else m)")
+    table.add_argument("--up", choices=("y", "z"), help="axis that points up (default: y for Motive, else z)")
+    table.add_argument("--rate", type=float, metavar="HZ", help="of frames, in place of a column of times")
+    table.add_argument("--vehicle", metavar="NAME", help="body that is the vehicle (default: by its name)")
+    table.add_argument("--pendulum", metavar="NAME", help="body that is the rod (default: by its name)")
+    return length
+
+
+def stated(options: argparse.Namespace) -> Stated:
+    """Return what the options of convert say of a CSV file."""
+    return Stated(*(getattr(options, name) for name in Stated._fields))
