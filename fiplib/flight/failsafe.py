@@ -45,6 +45,7 @@ class Guard:
         notes: remarks that changed no mode: doubtful clocks, refused estimates.
         ended: why the flight has ended, ``None`` before.
         accepted: the last frame given to ``frame`` if it was good and in flight: what the pilot saw, and bags hold.
+        observed: when the pilot takes it to have arrived, ns; one that comes late counts as of when it was due.
         refused: how many frames were refused, by reason.
         tilt, lean: of vehicle and rod from the vertical at the newest good frame, rad; nan before the first.
     """
@@ -56,6 +57,7 @@ class Guard:
         self.notes: list[Event] = []
         self.ended: str | None = None
         self.accepted: Measurement | None = None
+        self.observed = -1
         self.refused: dict[str, int] = {}
         self.tilt = self.lean = math.nan
         self.monitor = PoseMonitor(self.params, limits)
@@ -103,8 +105,9 @@ class Guard:
             return self._between(now)
         # when frames come late and many at once, the newest must be answered: each counts as of when it was due
         overdue = round(self.monitor.age(now) * NANO)
+        self.observed = max(self.observed + 1, now - overdue if overdue > self._tick_ns else now)
         try:
-            tick = self.pilot.observe(now - overdue if overdue > self._tick_ns else now, good)
+            tick = self.pilot.observe(self.observed, good)
         except Exception as error:  # a flight must outlive a bug
             failure = f"{type(error).__name__}: {error}"
             return self._levelled(now) if self.mode is Mode.LEVEL else self._without_solution(now, None, failure)

@@ -131,9 +131,11 @@ class FlightLoop:
         now = came[0] if came is not None else link.now()
         self._frames += came is not None
         self._decide(now)
-        self._record(now, setpoint)
+        # frames and lengths are recorded with the times that the pilot was given: with these a replay does the same
+        at = now if guard.accepted is None else guard.observed
+        self._record(at, setpoint)
         if guard.mode not in (Mode.DISARMED, Mode.READY):
-            self._lengths.update(now, self._elapsed(now) if self._began is not None else math.nan, guard.window_due())
+            self._lengths.update(at, self._elapsed(now) if self._began is not None else math.nan, guard.window_due())
         self._report(now)
         self._draw(now)
         self.clockwork.busy((link.now() - began) / NANO)

@@ -212,7 +212,7 @@ def test_a_flight_interrupted_in_the_air_reports_and_saves_what_was_flown(tmp_pa
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as flight:
         for line in flight.stderr:
             # shown every 2 s once it flies; on a busy computer it may coast just then
-            if re.match(r"[\d.]+ s (flying|coasting|hover only): ", line):
+            if re.match(r"[\d.]+ of [\d.]+ s (flying|coasting|hover only): ", line):
                 flight.send_signal(signal.SIGINT)
                 break
         said, _ = flight.communicate()
