@@ -132,7 +132,7 @@ class FlightLoop:
         self._frames += came is not None
         self._decide(now)
         # frames and lengths are recorded with the times that the pilot was given: with these a replay does the same
-        at = now if guard.accepted is None else guard.observed
+        at = now if guard.observed < 0 else guard.observed
         self._record(at, setpoint)
         if guard.mode not in (Mode.DISARMED, Mode.READY):
             self._lengths.update(at, self._elapsed(now) if self._began is not None else math.nan, guard.window_due())

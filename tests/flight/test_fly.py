@@ -159,15 +159,19 @@ def assert_replays(flight: recording.Flight) -> None:
 
 @pytest.mark.realtime
 def test_in_real_time_a_length_is_estimated_beside_the_flight_and_a_bag_is_recorded(tmp_path):
-    made = fly(
-        "--scenario", "estimate-1.4", "--set", "estimation.estimator=maximum_likelihood", "--real-time",
-        "--duration", 6, "--output", tmp_path / "live",
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
+    # a machine that stalls for half a second ends a flight, and a busy one has few estimates: that is not the subject
+    for attempt in range(3):
+        made = fly(
+            "--scenario", "estimate-1.4", "--set", "estimation.estimator=maximum_likelihood", "--real-time",
+            "--duration", 6, "--output", tmp_path / "live", *(["--force"] * (attempt > 0)),
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr
+        flight = bags.read(tmp_path / "live")
+        if "simulated: 6.00 s" in made.stdout and flight.length is not None and len(flight.length.values) >= 5:
+            break
     assert "simulated: 6.00 s" in made.stdout and "ticks" in made.stdout
     # no terminal here: lines, and no control sequences
     assert "ready -> flying: armed" in made.stderr and " flying" in made.stderr and "\x1b" not in made.stderr
-    flight = bags.read(tmp_path / "live")
     assert flight.simulated and flight.metadata["real_time"] is True and flight.metadata["link"] == "sim"
     assert any("landed" in event.text for event in flight.events)
     # 2.5 s of frames come before the first run; on a machine that is not busy there are 13 of them
