@@ -61,7 +61,9 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
         raise BagError(f"{path}: cannot be opened ({_line(error)})") from error
     except Exception as error:  # the library raises a dozen kinds on damage, from struct.error to MemoryError
         raise BagError(f"{path}: {_damage(path, error)}") from error
-    notes, decoded = list(guesses), {}
+    # what was assumed when a table was converted holds for all that is read from its bag
+    converted = metadata.get("converted")
+    notes, decoded = [*(converted.get("assumed", ()) if isinstance(converted, dict) else ()), *guesses], {}
     for role, decoder in gathered.items():
         with _named(path, places[role], role):
             if role == "events":
