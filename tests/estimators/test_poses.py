@@ -103,7 +103,7 @@ def test_the_same_likelihood_whatever_runs_beside_it():
 def test_a_pass_goes_on_where_it_stopped():
     rows, theta = rows_and_point(1.0)
     whole = kf.run(rows, theta[None]).total[0]
-    state = kf.State.at(rows.time[0], 1, 2)
+    state = kf.State.at(rows.time[0], 2)
     parts = [kf.Rows(*(column[half] for column in rows)) for half in (slice(0, 501), slice(501, None))]
     assert sum(kf.run(part, theta[None], state=state).total[0] for part in parts) == pytest.approx(whole, rel=1e-12)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.estimators.poses.filter import KINDS, Rows, run
+from fiplib.estimators.poses.filter import KINDS, Rows
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem
 from fiplib.estimators.poses.rows import Body, arm
 
@@ -73,13 +73,13 @@ def check_bodies(vehicle: Body, rod: Body, distance: float) -> None:
                       "leave out the stretch where it falls")  # fmt: skip
 
 
-def check_motion(fit: Fit, rows: Rows, innovation: NDArray) -> None:
+def check_motion(fit: Fit, rows: Rows) -> None:
     """Raise ``Refusal`` if there is no maximum, or if something moves as nothing in the model does."""
     if not (fit.converged and np.all(np.isfinite(fit.covariance))):
         raise Refusal(
             "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
         )
-    jump, when = largest_jump(rows.time, innovation)
+    jump, when = largest_jump(rows.time, fit.innovation)
     if jump > LARGEST_JUMP:
         raise Refusal(
             f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
@@ -136,18 +136,17 @@ def check_length(length: float, deviation: float, interval: tuple[float, float])
         )
 
 
-def innovations_of(fit: Fit, rows: Rows) -> tuple[NDArray, dict[str, float]]:
-    """Return the standardised innovations (n, axes), and by kind of row their largest autocorrelation."""
-    innovation = run(rows, fit.theta[None], innovations=True).innovation
+def whiteness_of(fit: Fit, rows: Rows) -> dict[str, float]:
+    """Return by kind of row the largest autocorrelation of its innovations."""
     kinds = [kind for kind in range(len(KINDS)) if rows.has(kind)]
-    return innovation, {KINDS[kind]: _correlation(innovation[rows.kind == kind]) for kind in kinds}
+    return {KINDS[kind]: _correlation(fit.innovation[rows.kind == kind]) for kind in kinds}
 
 
 def _correlation(innovation: NDArray, lags: int = 10) -> float:
     """Largest autocorrelation in absolute value of innovations (n, axes) at lags of 1 to 10 rows."""
     values = innovation[min(len(innovation) // 8, 30) :]  # the first rows only find the state
-    power = float(np.mean(values**2))
-    return max(abs(float(np.mean(values[lag:] * values[:-lag]))) / power for lag in range(1, lags + 1))
+    power = np.vdot(values, values) / len(values)
+    return max(abs(np.vdot(values[lag:], values[:-lag])) / (len(values) - lag) / power for lag in range(1, lags + 1))
 
 
 def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:

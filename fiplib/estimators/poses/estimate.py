@@ -130,8 +130,8 @@ def _answered(problem: Problem, found: dict) -> dict:
     untold = knowledge.inertia_factor is None and knowledge.marker_offset is None
     variant = "told" if knowledge.inertia_factor else "middle" if problem.tracked else "uniform"
     fit = problem.fit(problem.inertia, problem.offset)
-    innovation, whiteness = checks.innovations_of(fit, problem.rows)
-    checks.check_motion(fit, problem.rows, innovation)
+    whiteness = checks.whiteness_of(fit, problem.rows)
+    checks.check_motion(fit, problem.rows)
     if untold and problem.tracked:
         # both lengths are true of a uniform rod that is tracked at its middle
         difference = fit.of(lambda t: 2.0 * t[R] - uniform_length_of(t))
@@ -145,7 +145,7 @@ def _answered(problem: Problem, found: dict) -> dict:
                     raise Refusal(_ambiguity(fit.length.value, other.length.value))
                 if other.value > fit.value:
                     fit, variant = other, "uniform"
-                    innovation, whiteness = checks.innovations_of(fit, problem.rows)
+                    whiteness = checks.whiteness_of(fit, problem.rows)
                 found["notes"].append(
                     f"the rod's {'middle' if variant == 'uniform' else 'inertia'} is not where a uniform rod tracked "
                     "at its middle has it; its reaction on the vehicle tells which"

@@ -57,13 +57,13 @@ def _answered(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float, 
     problem = _problem(base, angle, knowledge, arm_radius)
     told = knowledge.inertia_factor or UNIFORM
     fit = problem.fit(told, ANY_OFFSET)
-    innovation, whiteness = checks.innovations_of(fit, problem.rows)
+    whiteness = checks.whiteness_of(fit, problem.rows)
     fields, extra = described(fit, problem), 0.0
     variant = "told" if knowledge.inertia_factor else "uniform"
     found |= {"whiteness": whiteness, "noise": fields["noise"]}
     found["assumed"] = assumptions(variant, told, ANY_OFFSET, knowledge, False, math.nan)
     correlation = max(whiteness.values())
-    jump, _ = checks.largest_jump(problem.rows.time, innovation)
+    jump, _ = checks.largest_jump(problem.rows.time, fit.innovation)
     if correlation > checks.LARGEST_CORRELATION or jump > checks.LARGEST_JUMP:
         extra = abs(problem.fit(told, ANY_OFFSET, force=True).theta[LE] - fit.theta[LE])
         found["notes"].append(

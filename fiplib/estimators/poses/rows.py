@@ -124,6 +124,7 @@ def sorted_rows(parts: list[Part], events: NDArray, second_order: Sequence[NDArr
     scale = np.concatenate([np.ones(len(part[1])) if part[3] is None else part[3] for part in parts])
     tilts = [part[2] for part in parts if part[0] == TILT]
     tilt = np.concatenate([tilts[0] if tilts and part[0] == VEHICLE else np.zeros_like(part[2]) for part in parts])
-    order = np.lexsort((kind, time))
+    # the vehicle's row holds the tilt's value, which must then be in the past of its innovation
+    order = np.lexsort((kind, kind != TILT, time))
     at = np.searchsorted(events, time[order])
     return Rows(time[order], kind[order], value[order], scale[order], *(one[at] for one in second_order), tilt[order])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fiplib.estimators.poses.estimate import estimate, problem_of
-from fiplib.estimators.poses.filter import LANES, R, State, run
+from fiplib.estimators.poses.filter import R, State, run
 from fiplib.estimators.poses.fit import STEP, Value, inverse, neighbours
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import RISE_HALF, Body, cleaned, rows_of
@@ -37,7 +37,7 @@ class Stream:
         self._lanes = neighbours(self._fit.theta, self._fit.free)
         deviations, slopes = self._fit.prior.at(self._lanes)
         self._score, self._information = -slopes @ deviations, slopes @ slopes.T
-        self._state = State.at(problem.rows.time[0], -(-len(self._lanes) // LANES) * LANES, 2)
+        self._state = State.at(problem.rows.time[0], 2)
         self._done = -math.inf
         self.push(Body(np.zeros(0)), Body(np.zeros(0)))
 
