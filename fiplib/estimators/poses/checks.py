@@ -145,8 +145,9 @@ def whiteness_of(fit: Fit, rows: Rows) -> dict[str, float]:
 def _correlation(innovation: NDArray, lags: int = 10) -> float:
     """Largest autocorrelation in absolute value of innovations (n, axes) at lags of 1 to 10 rows."""
     values = innovation[min(len(innovation) // 8, 30) :]  # the first rows only find the state
-    power = np.vdot(values, values) / len(values)
-    return max(abs(np.vdot(values[lag:], values[:-lag])) / (len(values) - lag) / power for lag in range(1, lags + 1))
+    power = float(np.vdot(values, values)) / len(values)
+    products = (float(np.vdot(values[lag:], values[:-lag])) / (len(values) - lag) for lag in range(1, lags + 1))
+    return max(map(abs, products)) / power
 
 
 def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:

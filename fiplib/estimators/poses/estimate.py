@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +67,14 @@ class PoseEstimate(Estimate):
     notes: tuple[str, ...] = ()
 
 
+class Solution(NamedTuple):
+    """An answer, and the problem and its maximum if it came so far, refused or not."""
+
+    answer: PoseEstimate
+    problem: Problem | None
+    fit: Fit | None
+
+
 def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> PoseEstimate:
     """Return the length of a balanced rod from the poses of two bodies, or why there is none.
 
@@ -78,13 +87,19 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
     Raises:
         ValueError: the vehicle has no positions, or the rod neither positions nor axes.
     """
-    knowledge, found = knowledge or Knowledge(), {"notes": []}
+    return solved(vehicle, rod, knowledge).answer
+
+
+def solved(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Solution:
+    """Return the estimate with what it was made from; see ``estimate``."""
+    knowledge, found, problem = knowledge or Knowledge(), {"notes": [], "fit": None}, None
     try:
         problem = problem_of(vehicle, rod, knowledge, found["notes"])
         found |= _answered(problem, found)
     except Refusal as refusal:
         found["reason"] = str(refusal)
-    return PoseEstimate(**found | {"notes": tuple(found["notes"])})
+    fit = found.pop("fit")
+    return Solution(PoseEstimate(**found | {"notes": tuple(found["notes"])}), problem, fit)
 
 
 def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
@@ -129,7 +144,7 @@ def _answered(problem: Problem, found: dict) -> dict:
     knowledge, doubt = problem.knowledge, 0.0
     untold = knowledge.inertia_factor is None and knowledge.marker_offset is None
     variant = "told" if knowledge.inertia_factor else "middle" if problem.tracked else "uniform"
-    fit = problem.fit(problem.inertia, problem.offset)
+    fit = found["fit"] = problem.fit(problem.inertia, problem.offset)
     whiteness = checks.whiteness_of(fit, problem.rows)
     checks.check_motion(fit, problem.rows)
     if untold and problem.tracked:
@@ -145,6 +160,7 @@ def _answered(problem: Problem, found: dict) -> dict:
                     raise Refusal(_ambiguity(fit.length.value, other.length.value))
                 if other.value > fit.value:
                     fit, variant = other, "uniform"
+                    found["fit"] = fit
                     whiteness = checks.whiteness_of(fit, problem.rows)
                 found["notes"].append(
                     f"the rod's {'middle' if variant == 'uniform' else 'inertia'} is not where a uniform rod tracked "

@@ -3,8 +3,8 @@
 The compiler vectorises a loop over lanes only if it can prove that no two arrays overlap, which it cannot for arrays
 that were allocated elsewhere; such a loop then runs one lane at a time. A value that is a vector needs no proof.
 
-``load`` and ``store`` move a row of an array (rows, 16) of float64, best of one from ``room``. A float64 beside a vector stands for sixteen equal
-numbers. The operations round as IEEE 754 says, on every machine alike.
+``load`` and ``store`` move a row of an array (rows, 16) of float64, best of one from ``room``. A float64 beside a
+vector stands for sixteen equal numbers. The operations round as IEEE 754 says, on every machine alike.
 """
 
 import operator
