@@ -13,9 +13,29 @@ FALLEN = math.cos(math.radians(60.0))
 
 
 def plant_constants(params: Params) -> NDArray:
-    """Mass of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, lags and step in s: (7,)."""
+    """Mass of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, lags and step in s: (7,).
+
+    Raises:
+        ValueError: parameters that contradict each other: the plant cannot be integrated, or its rod does not stand.
+    """
     vehicle, pendulum, simulation = params.vehicle, params.pendulum, params.simulation
     lags = simulation.rate_lag, simulation.thrust_lag
+    frames = simulation.plant_rate / params.piloting.mocap_rate
+    if not math.isclose(frames, max(1, round(frames)), rel_tol=1e-9):
+        raise ValueError(
+            "simulation.plant_rate must be a whole multiple of piloting.mocap_rate, not "
+            f"{simulation.plant_rate:g} and {params.piloting.mocap_rate:g} Hz"
+        )
+    if min(lags) * simulation.plant_rate < 0.4:  # RK4 is stable for steps up to 2.78 lags
+        raise ValueError(
+            "simulation.rate_lag and thrust_lag must be at least 0.4 / simulation.plant_rate = "
+            f"{0.4 / simulation.plant_rate:.3g} s, not {lags[0]:g} and {lags[1]:g} s"
+        )
+    if simulation.initial_lean > pendulum.length / 12:  # six standard deviations are half the rod
+        raise ValueError(
+            "simulation.initial_lean must be at most pendulum.length / 12 = "
+            f"{pendulum.length / 12:.3g} m, not {simulation.initial_lean:g} m"
+        )
     return np.array(
         (vehicle.mass, pendulum.mass, pendulum.length / 2, pendulum.inertia_factor, *lags, 1.0 / simulation.plant_rate)
     )
