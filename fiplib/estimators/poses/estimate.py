@@ -1,19 +1,18 @@
 """The estimate of a rod's length from the poses of a vehicle and its rod."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.checks import Refusal
 from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H, R
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem, Value, inertia_factor_of
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, Told, assumptions
-from fiplib.estimators.poses.rows import Body, cleaned, rows_of, without_jumps
+from fiplib.estimators.poses.rows import Body, cleaned, rows_of, upright_axis, without_jumps
 from fiplib.recording import Flight
 
 LARGEST_DOUBT = 3.0
@@ -104,11 +103,14 @@ def solved(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Solu
 
 def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
     """Return the length of the rod from the two bodies of a recorded flight; see ``estimate``."""
-    bodies = (
-        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
-        for body in (flight.vehicle, flight.pendulum)
-    )
-    return estimate(*bodies, knowledge)
+    bodies, notes = [], []
+    for name, body in (("vehicle", flight.vehicle), ("pendulum", flight.pendulum)):
+        axis, turned = upright_axis(body.orientation)
+        bodies.append(Body(flight.time(body), body.position, axis))
+        if turned:
+            notes.append(f"the {name}'s body frame leans by {math.degrees(turned):.0f} deg on average and was set upright")
+    found = estimate(*bodies, knowledge)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str]) -> Problem:

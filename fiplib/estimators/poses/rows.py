@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.poses.filter import DIRECTION, ROD, TILT, VEHICLE, Rows
 from fiplib.estimators.poses.smoothing import parabolas
@@ -12,6 +13,11 @@ from fiplib.params import GRAVITY
 
 HALF, RISE_HALF = 0.05, 0.15
 """Half-widths in s of the smoothing parabolas; the second one's is of the vertical acceleration."""
+
+
+TURNED = 0.1, 1.0
+"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; by less, the constants of
+the model hold it, and by more, the frame cannot be told from a wrong one."""
 
 
 class Body(NamedTuple):
@@ -27,6 +33,27 @@ class Body(NamedTuple):
     def part(self, keep: slice | NDArray) -> "Body":
         """Return some of the poses."""
         return Body(*(None if column is None else column[keep] for column in self))
+
+
+def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
+    """Return the axis (n, 3) of a body that points up on average, and the angle in rad between it and the body's z axis.
+
+    Vehicle and rod are upright on average, however the frame of a body was drawn into its markers. The axis is z unless
+    that leans by an angle within ``TURNED``. ``orientation`` are quaternions (n, 4) x, y, z, w; where one is not finite
+    or zero, the axis is not finite.
+    """
+    orientation = np.asarray(orientation, dtype=float)
+    good = np.isfinite(orientation).all(axis=1) & (np.abs(orientation).max(axis=1, initial=0.0) > 0.0)
+    axis = np.full((len(orientation), 3), np.nan)
+    if not np.any(good):
+        return axis, 0.0
+    rotation = Rotation.from_quat(orientation[good])
+    up = rotation.apply([0.0, 0.0, 1.0], inverse=True).mean(axis=0)
+    up /= np.linalg.norm(up)
+    angle = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+    turned = TURNED[0] < angle < TURNED[1]
+    axis[good] = rotation.apply(up if turned else [0.0, 0.0, 1.0])
+    return axis, angle if turned else 0.0
 
 
 def cleaned(body: Body, name: str = "", notes: list[str] | None = None) -> Body:
