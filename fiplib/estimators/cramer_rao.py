@@ -145,7 +145,7 @@ def cramer_rao_of_poses(motion: Motion, params: Params, knowledge: Knowledge, sl
     information filter (Bierman, 1977): a step eliminates the command and the state before it by QR. ``motion`` and
     ``params`` as for ``cramer_rao``.
     """
-    simulation, n = params.simulation, len(motion.states)
+    n = len(motion.states)
     sizes = slack * np.sqrt(np.mean((motion.commands - motion.commands.mean(axis=0)) ** 2, axis=0))
     transition, shift = _sensitivities(motion, params, DYNAMIC)
     drive = _drive(motion, params) * np.maximum(sizes, 1e-9)

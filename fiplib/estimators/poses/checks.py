@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fiplib.estimators.poses.filter import KINDS, Rows
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem
-from fiplib.estimators.poses.rows import Body, arm
+from fiplib.estimators.poses.rows import Body, arm, quantum
 
 LEAST_POSES = 64
 """Fewest poses of each body: a quarter of a second at 240 Hz, and never enough to be sure of anything."""
@@ -17,6 +17,12 @@ SHORTEST_ARM = 0.1
 
 LARGEST_LEAN = 0.3
 """Refused above this angle, rad: terms of second order are taken from smoothed poses, which is then too coarse."""
+
+LARGEST_SLOPE = 0.15
+"""Refused above this average lean, rad: a circle of 0.6 m in 6 s leans by 0.07, and the constants hold 0.1."""
+
+LEAST_STEPS = 3.0
+"""Refused where the rod moves against the vehicle by fewer steps of the recorded positions (standard deviation)."""
 
 LARGEST_SPREAD = 0.05
 """Refused above this relative standard deviation: the priors alone, with no motion at all, end at 10 % for 1 m."""
@@ -63,14 +69,39 @@ def check_bodies(vehicle: Body, rod: Body, distance: float) -> None:
             f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot, where it does not move: "
             "track its middle, or record its orientation too"
         )
-    leans = [np.arccos(np.clip(body.axis[:, 2], -1.0, 1.0)) for body in (vehicle, rod) if body.axis is not None]
+    axes = {name: body.axis for body, name in ((vehicle, "vehicle"), (rod, "rod")) if body.axis is not None}
     if distance > SHORTEST_ARM:
-        reach = arm(vehicle, rod)
-        leans.append(np.arctan2(np.linalg.norm(reach[:, :2], axis=1), reach[:, 2]))
-    leaned = max(float(np.quantile(lean, 0.995)) for lean in leans)  # single noisy poses aside
+        axes["rod's tracked point as seen from the vehicle"] = arm(vehicle, rod)
+    leaned = 0.0
+    for name, axis in axes.items():
+        slope = _angle(np.median(axis, axis=0)[None])[0]
+        if slope > LARGEST_SLOPE:
+            raise Refusal(
+                f"frames are not level: the {name} leans by {math.degrees(slope):.0f} deg on average; turn the world's "
+                "frame so that z points up, and the body's frame so that it is level in hover"
+            )
+        leaned = max(leaned, float(np.quantile(_angle(axis), 0.995)))  # single noisy poses aside
     if leaned > LARGEST_LEAN:
         raise Refusal(f"rod or vehicle leans by {math.degrees(leaned):.0f} deg, too far for the model; "
                       "leave out the stretch where it falls")  # fmt: skip
+
+
+def check_resolution(vehicle: Body, rod: Body) -> None:
+    """Raise ``Refusal`` if the rod hardly moves by the steps in which positions are recorded."""
+    step = max(quantum(body.position[:, axis]) for body in (vehicle, rod) for axis in range(2))
+    moved = float(np.max(np.std(arm(vehicle, rod)[:, :2], axis=0)))
+    if not math.isfinite(step):
+        raise Refusal("quantisation: one body's recorded position does not change; record it with more digits")
+    if moved < LEAST_STEPS * step:
+        raise Refusal(
+            f"quantisation: the rod moves by {moved / step:.1f} steps of the recorded positions, {1e3 * step:.2g} mm "
+            f"each, not by {LEAST_STEPS:g}; record them with more digits, or move more"
+        )
+
+
+def _angle(axis: NDArray) -> NDArray:
+    """The angle (n,) between vectors (n, 3) and the vertical, rad."""
+    return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), axis[:, 2])
 
 
 def check_motion(fit: Fit, rows: Rows) -> None:

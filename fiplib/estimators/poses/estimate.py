@@ -108,7 +108,9 @@ def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
         axis, turned = upright_axis(body.orientation)
         bodies.append(Body(flight.time(body), body.position, axis))
         if turned:
-            notes.append(f"the {name}'s body frame leans by {math.degrees(turned):.0f} deg on average and was set upright")
+            notes.append(
+                f"the {name}'s body frame leans by {math.degrees(turned):.0f} deg on average and was set upright"
+            )
     found = estimate(*bodies, knowledge)
     return replace(found, notes=(*notes, *found.notes))
 
@@ -138,6 +140,8 @@ def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str])
     if distance < checks.SHORTEST_ARM:
         rod = Body(rod.time, None, rod.axis)
         notes.append("the rod is tracked at its foot: its orientation alone was used")
+    if rod.position is not None:
+        checks.check_resolution(vehicle, rod)
     return Problem(rows_of(vehicle, rod), knowledge, distance)
 
 

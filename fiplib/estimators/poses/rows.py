@@ -36,7 +36,7 @@ class Body(NamedTuple):
 
 
 def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
-    """Return the axis (n, 3) of a body that points up on average, and the angle in rad between it and the body's z axis.
+    """Return the axis (n, 3) of a body that points up on average, and the angle in rad from the body's z axis to it.
 
     Vehicle and rod are upright on average, however the frame of a body was drawn into its markers. The axis is z unless
     that leans by an angle within ``TURNED``. ``orientation`` are quaternions (n, 4) x, y, z, w; where one is not finite
@@ -83,6 +83,14 @@ def without_jumps(vehicle: Body, rod: Body) -> tuple[Body, float]:
     # the rod turns against the vehicle, so the distance changes a little; a lost body is far away
     good = np.abs(distances - distance) < 0.1 * distance + 0.02
     return rod.part(good), float(np.median(distances[good]))
+
+
+def quantum(values: NDArray) -> float:
+    """Return the step of a quantised signal (n,), 0 if it does not look quantised."""
+    distinct = np.unique(np.round(values, 12))
+    if len(distinct) > len(values) / 3:
+        return 0.0
+    return float(np.median(np.diff(distinct))) if len(distinct) > 1 else np.inf
 
 
 def arm(vehicle: Body, rod: Body) -> NDArray:
