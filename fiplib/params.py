@@ -67,9 +67,12 @@ NANO = 1_000_000_000
 """Nanoseconds in a second: times are integer nanoseconds, as in ROS messages."""
 
 
-def quantity(default: Any, unit: str, source: str, zero: bool = False) -> Any:
-    """A dataclass field that carries its unit, its source, and whether a number may be zero (none may be negative)."""
-    return field(default=default, metadata={"unit": unit, "source": source, "zero": zero})
+def quantity(default: Any, unit: str, source: str, zero: bool = False, before: Any = None) -> Any:
+    """A dataclass field that carries its unit, its source, and whether a number may be zero (none may be negative).
+
+    ``before`` is what held in recordings that are older than the parameter, where that is not the default.
+    """
+    return field(default=default, metadata={"unit": unit, "source": source, "zero": zero, "before": before})
 
 
 @dataclass(frozen=True)
@@ -181,7 +184,11 @@ class Piloting:
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
     seat_height: float = quantity(
-        0.08, "m", "paper, section 3: what the pilot takes the seat to be above the tracked vehicle point", zero=True
+        0.08,
+        "m",
+        "paper, section 3: taken by the pilot for the seat's height above the tracked point",
+        True,
+        before=0.0,
     )
     seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
@@ -205,7 +212,9 @@ class Simulation:
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
     estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
-    vehicle_origin: str = quantity("frame", "-", "our choice: tracked point: 'frame', below the seat, or 'seat'")
+    vehicle_origin: str = quantity(
+        "frame", "-", "our choice: the vehicle's tracked point: 'frame', below the seat, or 'seat'", before="seat"
+    )
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
@@ -251,12 +260,18 @@ class Groups:
 
     @classmethod
     def from_dict(cls, values: dict[str, dict[str, Any]]) -> Self:
-        """Return the inverse of ``to_dict``; parameters that are absent keep their default.
+        """Return the inverse of ``to_dict``; parameters that are absent have the value that held before there were any.
+
+        Groups that are absent have their defaults.
 
         Raises:
             ValueError: a group or field is not known here, and the group not one of ``ELSEWHERE``.
         """
         own = {group: fields for group, fields in values.items() if group not in cls.ELSEWHERE}
+        for group in dataclasses.fields(cls):
+            older = {f.name: f.metadata["before"] for f in dataclasses.fields(group.type)}
+            if group.name in own:
+                own[group.name] = {k: v for k, v in older.items() if v is not None} | own[group.name]
         return cls().replace(
             **{f"{group}__{key}": _parsed(value) for group, fields in own.items() for key, value in fields.items()}
         )
