@@ -1,4 +1,4 @@
-"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, stated rightly, wrongly, not at all.
+"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
 
 A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
 which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
@@ -9,20 +9,16 @@ the frame itself, as in the paper's model, is the standard of comparison. Every 
 import math
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
 from fiplib.pilot import Circle, Hover
 from fiplib.recording import Flight
 from fiplib.reproduction.measures import rms
-from fiplib.reproduction.sources import Rows
-from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
-from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Push, Scenario
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 
 KEYS = ("motion", "length", "seat", "stated")
 """``motion`` is a name in ``MOTIONS``; all others are in m."""

@@ -57,7 +57,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, params: Params) -> "Knowledge":
-        """Return what ``params`` say, with the pilot's seat; the rod is tracked at its middle as in all bags of ours."""
+        """Return what ``params`` say, with the pilot's seat; the rod is tracked at its middle as in our own bags."""
         rod, vehicle, simulation = params.pendulum, params.vehicle, params.simulation
         ratio = rod.mass / (rod.mass + vehicle.mass)
         return cls(
