@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
 from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
@@ -171,6 +171,7 @@ def _step(params: Params, period: float) -> tuple[ca.Function, ca.Function]:
     """One frame of the plant (state, command, force) -> state, and its Jacobian to the state."""
     step = rk4(coupled_plant(params), period)
     x, u, f = step.sx_in()
+    step = ca.Function("step", [x, u, f], [projected(step(x, u, f))])
     return step, ca.Function("derivative", [x, u, f], [ca.densify(ca.jacobian(step(x, u, f), x))])
 
 
