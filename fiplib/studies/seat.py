@@ -131,10 +131,14 @@ def fig17_seat(rows: Rows) -> Figure:
                 column[2].plot(x, [np.degrees(row["rate"]) for row in at], style, **look)
         for axes in column:
             axes.axvline(100 * SEAT, color=GREY, lw=0.5, ls=":")
-        column[2].set(xticks=(PLACE, 0, 4, 8, 12), xticklabels=("none", "0", "4", "8", "12"), xlim=(-4, 13))
+        column[2].set(
+            xticks=(PLACE, 0, 4, 8, 12),
+            xticklabels=("none", "0", "4", "8", "12"),
+            xlim=(-4, 13),
+            xlabel="stated seat (cm)",
+        )
     for axes, label in zip(panels[:, 0], ("share that stays up", "rms error (cm)", "rms rate (deg/s)"), strict=True):
         axes.set(ylabel=label, ylim=(0, None))
-    figure.supxlabel("height of the seat that the pilot is given (cm)", fontsize="medium")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     origin(figure, f"{len(SEEDS)} simulated flights each; dotted: true; none: seat at the frame")
     return figure
@@ -154,7 +158,7 @@ def table14_seat(rows: Rows) -> Table:
             for motion in MOTIONS:
                 row = at[motion]
                 _, low, high = survival(row)
-                cells.append(f"{row['survived']} ({100 * low:.0f} to {100 * high:.0f})")
+                cells.append(f"{row['survived']:.0f} ({100 * low:.0f} to {100 * high:.0f})")
                 for name, factor in (("error", 100.0), ("largest_lean", 100.0), ("rate", math.degrees(1.0))):
                     cells.append(f"{factor * row[name]:.1f}" if math.isfinite(row[name]) else NONE)
             cells.append(f"{row['gain_high']:.2f}" if row["growth_rate"] < 0 else NONE)
