@@ -121,7 +121,7 @@ def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
     curve.axhline(0.0, color=GREY, lw=0.4)
     curve.set(ylabel="difference / e (m)", ylim=(-0.05, 0.72))
     curve.legend(loc="upper right")
-    for flight, label, colour in ((circle, "circle", BLUE), (hover, "hover", ORANGE)):
+    for flight, label, colour in ((circle, "circle", BLUE), (hover, "hover, pushed", ORANGE)):
         frequency, power = spectrum(flight)
         motion.loglog(frequency[1:], 1e3 * np.sqrt(power[1:]), color=colour, label=label)
     noise = circle.params.simulation.attitude_noise * math.sqrt(2.0 / circle.params.piloting.mocap_rate)
