@@ -14,6 +14,7 @@ import numpy as np
 import scipy  # its parts are imported when they are first used
 
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
 from fiplib.estimators.poses.knowledge import Knowledge, Told
@@ -53,6 +54,8 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
             f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
             "record them, or say under which name they are recorded."
         )
+    if reason := why_no_length(flight, commands=True):
+        return reason
     if least is None:
         least = (flight.params.estimation.window - 1) * flight.params.estimation.sample_period
     common = min(flight.command.stamp[-1], flight.vehicle.stamp[-1], flight.pendulum.stamp[-1])

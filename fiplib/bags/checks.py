@@ -6,7 +6,8 @@ from anybody. What a check finds is mended before the next one looks: all cures 
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -15,15 +16,25 @@ import numpy as np
 from fiplib.bags import motion
 from fiplib.bags.conventions import QUATERNIONS, UNITS, body_z, restated, rotated
 from fiplib.bags.roles import BODIES
+from fiplib.params import NANO
 from fiplib.recording import Flight, Poses
 
 EXPLANATIONS = {
     "roles": "Vehicle and rod are two bodies, the rod above the vehicle.",
+    "clocks": "Both bodies are stamped by one clock, the time of exposure: the rod's foot goes where the vehicle goes.",
+    "tracking": "Both bodies are tracked: no pose stays the same in every digit, none jumps faster than 30 m/s.",
+    "rate": "Poses come at 50 Hz at least; 100 Hz or more are better.",
     "up axis": "The rod stands along z, the world's axis that points up.",
     "quaternion": "Quaternions are x, y, z, w and turn the body into the world: the vehicle accelerates to where it "
     "tilts, and the rod's z axis points from the vehicle to the rod.",
     "attitude": "Each body has its z axis up when it is upright, in the frame in which positions are.",
     "unit": "Positions are in m: the vehicle accelerates as much as its tilt lets it.",
+    "distance": "The distance of the two tracked points stays the same: twice it is the rod's length, if the vehicle "
+    "is tracked at the seat and the rod at its middle.",
+    "frames": "Both bodies are recorded in one frame, which stands still.",
+    "rod point": "The rod is tracked at least 10 cm from its seat; at its foot its orientation alone tells the length.",
+    "commands": "Commands are body rates in rad/s, stamped by the poses' clock: the vehicle turns as they say, within "
+    "a quarter of a second. A length from poses alone needs none.",
 }
 """What each check expects of a recording, by name of its finding."""
 
@@ -38,6 +49,15 @@ LATEST = 3e-3
 
 STILL = 0.1
 """A body whose pose does not change in any digit for this long, s, is not tracked."""
+
+LEAST_RATE = 45.0
+"""Poses that come less often than this, Hz, hardly tell how a rod falls."""
+
+LONGEST_DELAY = 0.25
+"""A vehicle turns as commanded within this time, s."""
+
+FASTEST_TURN = 30.0
+"""No vehicle that balances a rod is commanded to turn faster than this, rad/s."""
 
 _SURE = 0.2  # largest standard deviation of a relation that is believed, relative
 _NEAR = 0.45  # largest deviation of an entry of a relation from the one it should have; 12 cm of seat reach 0.3
@@ -70,9 +90,14 @@ def findings(flight: Flight) -> list[Finding]:
     return list(_KNOWN[flight])
 
 
-def refusal(flight: Flight) -> Finding | None:
-    """Return the first finding that makes every length of this flight meaningless, or None."""
-    return next((finding for finding in findings(flight) if finding.refuses), None)
+def passed(found: Iterable[Finding]) -> list[str]:
+    """Return the names of the checks that a flight with these findings passed."""
+    names = {finding.name for finding in found}
+    last = list(EXPLANATIONS)
+    # a refusal without a cure ends the checks: what comes after it was not looked at
+    if ended := [finding.name for finding in found if finding.refuses and not finding.cure]:
+        last = last[: last.index(ended[0])]
+    return [name for name in last if name not in names]
 
 
 _KNOWN: "WeakKeyDictionary[Flight, list[Finding]]" = WeakKeyDictionary()
@@ -86,6 +111,34 @@ def _found(flight: Flight) -> Iterator[Finding]:
                 flight = restated(flight, **finding.cure)
             elif finding.refuses:
                 return
+        if check is _still:
+            flight = tracked(flight)
+
+
+def tracked(flight: Flight) -> Flight:
+    """Return the flight without the poses of bodies that stand still in every digit."""
+    bodies = {body: _body(flight, body) for body in BODIES}
+    kept = {body: ~still(poses) for body, poses in bodies.items()}
+    if all(keep.all() for keep in kept.values()) or not all(keep.any() for keep in kept.values()):
+        return flight
+    return replace(flight, vehicle=_part(flight.vehicle, kept["vehicle"]),
+                   pendulum=_part(flight.pendulum, kept["pendulum"]))  # fmt: skip
+
+
+def still(poses: Poses) -> np.ndarray:
+    """Return which poses (n,) bool belong to a stretch of at least ``STILL`` s in which no digit changes."""
+    same = np.zeros(len(poses.stamp) + 1, bool)
+    same[1:-1] = (np.diff(poses.position, axis=0) == 0.0).all(axis=1)
+    same[1:-1] &= (np.diff(poses.orientation, axis=0) == 0.0).all(axis=1)
+    begins, ends = np.flatnonzero(~same[:-1] & same[1:]), np.flatnonzero(same[:-1] & ~same[1:])
+    found = np.zeros(len(poses.stamp), bool)
+    for begin, end in zip(begins, ends, strict=True):
+        found[begin : end + 1] = poses.stamp[end] - poses.stamp[begin] >= STILL * NANO
+    return found
+
+
+def _part(poses: Poses, keep: np.ndarray) -> Poses:
+    return Poses(*(array[keep] for array in (poses.stamp, poses.received, poses.position, poses.orientation)))
 
 
 def _one_body(flight: Flight) -> Iterator[Finding]:
@@ -98,13 +151,70 @@ def _one_body(flight: Flight) -> Iterator[Finding]:
         )  # fmt: skip
 
 
+def _still(flight: Flight) -> Iterator[Finding]:
+    for body in BODIES:
+        poses = _body(flight, body)
+        if not (found := still(poses)).any():
+            continue
+        share, first = float(found.mean()), flight.time(poses)[int(np.argmax(found))]
+        where = " (at the origin)" if not poses.position[found].any() else ""
+        yield Finding(
+            "tracking", f"the {_NAMES[body]}'s pose stands still{where} in every digit for {100 * share:.0f} % of the "
+            f"recording, first at {first:.1f} s: it was not tracked there; "
+            + ("record it again" if share > 0.5 else "these poses are left out"), {}, share > 0.5,
+        )  # fmt: skip
+
+
+def _clock(flight: Flight) -> Iterator[Finding]:
+    """Stamps that differ so much that bodies would be paired wrongly at sight."""
+    vehicle, rod = flight.vehicle, flight.pendulum
+    apart = _late(rod) - _late(vehicle)
+    start, end = (pick(int(one.stamp[i]) for one in (vehicle, rod)) for pick, i in ((max, 0), (min, -1)))
+    shortest = min(int(one.stamp[-1] - one.stamp[0]) for one in (vehicle, rod))
+    if abs(apart) < 0.5 and end - start > shortest / 2:
+        return
+    logged = restated(flight, stamps="log")
+    start, end = (pick(int(_body(logged, one).stamp[i]) for one in BODIES) for pick, i in ((max, 0), (min, -1)))
+    far = f"their stamps are {abs(apart):.1f} s apart, as the log shows" if abs(apart) > 0.5 else "they hardly overlap"
+    if end - start > shortest / 2 and abs(apart) > 0.5:
+        yield Finding("clocks", f"vehicle and rod are stamped by different clocks: {far}; take the times at which they "
+                      "were logged with --stamps log", {"stamps": "log"}, True)  # fmt: skip
+    else:
+        yield Finding("clocks", f"vehicle and rod were not recorded at the same time: {far}; record both bodies "
+                      "together, stamped by one clock", {}, True)  # fmt: skip
+
+
+def _late(poses: Poses) -> float:
+    """By how many s poses were logged after their stamps, as a rule."""
+    return float(np.median(poses.received - poses.stamp)) / NANO
+
+
+def _delay(flight: Flight) -> Iterator[Finding]:
+    if not (late := _behind(flight)):
+        return
+    whose = f"the rod's stamps are {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against the vehicle's"
+    logged = restated(flight, stamps="log")
+    if not _behind(logged):
+        yield Finding("clocks", f"{whose}, the times of logging are not: take those with --stamps log",
+                      {"stamps": "log"}, True)  # fmt: skip
+    else:
+        yield Finding("clocks", f"{whose}: stamp both bodies by one clock with the time of exposure", {}, True)
+
+
+def _behind(flight: Flight) -> float:
+    """By how many s the rod's stamps are late against the vehicle's; 0 if they are not, or it cannot be told."""
+    found = motion.delay(flight.vehicle, flight.pendulum)
+    if found is None or abs(found[0]) < max(LATEST, 5.0 * found[1]):
+        return 0.0
+    return found[0]
+
+
 def _up(flight: Flight) -> Iterator[Finding]:
     vehicle, rod = flight.vehicle, flight.pendulum
     reach = motion.arm(vehicle, rod)
-    lengths = np.linalg.norm(reach, axis=1)
-    if np.median(lengths) < LEAST_ARM:
+    if not motion.distance_of(reach) > LEAST_ARM:
         return
-    along = np.median(reach / np.maximum(lengths, 1e-9)[:, None], axis=0)
+    along = np.nanmedian(reach / np.linalg.norm(reach, axis=1, keepdims=True), axis=0)
     axis = int(np.argmax(np.abs(along)))
     if abs(along[axis]) < _UPRIGHT:
         yield Finding("up axis", "the rod stands along none of the axes: turn the world's frame so that z points up, "
@@ -164,12 +274,8 @@ def _attitude(poses: Poses, vehicle: Poses | None) -> str | None:
     if vehicle is None:
         moved, against = motion.thrust(poses), "acceleration"
     else:
-        reach = motion.arm(vehicle, poses)
-        lengths = np.linalg.norm(reach, axis=1)
-        if np.median(lengths) < LEAST_ARM:
-            moved = None
-        else:
-            moved, against = motion.leaning(vehicle, poses), "direction from the vehicle"
+        far = motion.distance_of(motion.arm(vehicle, poses)) > LEAST_ARM
+        moved, against = motion.leaning(vehicle, poses) if far else None, "direction from the vehicle"
     if upright < _UPRIGHT:
         for axis, letter in enumerate("xyz"):
             height = float(np.median(rotated(poses.orientation, np.eye(3)[axis])[:, 2]))
@@ -198,7 +304,7 @@ def _attitude(poses: Poses, vehicle: Poses | None) -> str | None:
 
 def _unit(flight: Flight) -> Iterator[Finding]:
     moved = motion.thrust(flight.vehicle)
-    distance = float(np.median(np.linalg.norm(motion.arm(flight.vehicle, flight.pendulum), axis=1)))
+    distance = motion.distance_of(motion.arm(flight.vehicle, flight.pendulum))
     if moved and moved.deviation < _SURE * (scale := float(np.trace(moved.matrix)) / 2.0) and scale > 0:
         ratio = {unit: abs(math.log(scale * size)) for unit, size in UNITS.items()}
         unit = min(ratio, key=ratio.__getitem__)
@@ -213,8 +319,82 @@ def _unit(flight: Flight) -> Iterator[Finding]:
                       {"unit": unit}, True)  # fmt: skip
 
 
+def _distance(flight: Flight) -> Iterator[Finding]:
+    reach = motion.arm(flight.vehicle, flight.pendulum)
+    distance, lengths = motion.distance_of(reach), np.linalg.norm(reach, axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    away = float(np.mean(np.abs(lengths - distance) > 0.1 * distance + 0.02)) if len(lengths) else 0.0
+    frames = [set(info.frames) for body in BODIES for info in flight.topics if body in info.role]
+    differ = len(set().union(*frames)) > 1
+    names = " and ".join(sorted(repr(name) for name in set().union(*frames)))
+    if away > 0.2:
+        low, high = np.quantile(lengths, [0.05, 0.95])
+        varies = f"the distance of the two bodies varies from {low:.2f} to {high:.2f} m"
+        if differ:
+            yield Finding("frames", f"{varies}, and their frames are {names}: one is recorded relative to the other; "
+                          "record both in the frame of the world", {}, True)  # fmt: skip
+        else:
+            yield Finding("distance", f"{varies}: they do not belong together; check the topics (--topic "
+                          "vehicle=/its/name) and the names of the bodies", {}, True)  # fmt: skip
+    elif differ:
+        yield Finding("frames", f"the frames of the bodies are {names}; they fit together and are taken for one",
+                      {}, False)  # fmt: skip
+    if distance < LEAST_ARM:
+        yield Finding("rod point", f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot: its "
+                      "orientation alone tells its length, if it is uniform; track its middle", {}, False)  # fmt: skip
+
+
+def _speed(flight: Flight) -> Iterator[Finding]:
+    for body in BODIES:
+        poses = _body(flight, body)
+        step = np.linalg.norm(np.diff(poses.position, axis=0), axis=1)
+        fast = step > FASTEST * np.maximum(np.diff(poses.stamp) / NANO, 1e-3)
+        if not (count := int(fast.sum())):
+            continue
+        at, often = flight.time(poses)[int(np.argmax(fast))], count > 0.02 * len(step)
+        yield Finding("tracking", f"the {_NAMES[body]} jumps {count} times faster than {FASTEST:.0f} m/s, first at "
+                      f"{at:.1f} s: it was mistracked there; {'record it again' if often else 'cut that stretch out'}",
+                      {}, often)  # fmt: skip
+
+
+def _rate(flight: Flight) -> Iterator[Finding]:
+    for body in BODIES:
+        stamp = _body(flight, body).stamp
+        rate = NANO / float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+        if 0.0 < rate < LEAST_RATE:
+            yield Finding("rate", f"the {_NAMES[body]}'s poses come at {rate:.0f} Hz, hardly enough for a rod that is "
+                          "balanced: record at 100 Hz or more", {}, False)  # fmt: skip
+
+
+def _commands(flight: Flight) -> Iterator[Finding]:
+    if (command := flight.command) is None or len(command.stamp) < 2:
+        return
+    fastest = float(np.quantile(np.abs(command.values[:, :3]), 0.99))
+    found = motion.followed(flight.vehicle, command)
+    if found and abs(found[2]) > 0.5:
+        late, ratio, _ = found
+        if ratio < 0:
+            yield Finding("commands", "the vehicle turns against the commanded body rates: they are in other axes than "
+                          "x forward, y left, z up", {}, False)  # fmt: skip
+        elif 20.0 < ratio < 200.0:
+            yield Finding("commands", f"the commanded body rates are {ratio:.0f} times as large as those flown: they "
+                          "are in deg/s, it seems; record rad/s", {}, False)  # fmt: skip
+        if not -0.05 < late < LONGEST_DELAY:
+            logged = motion.followed(restated(flight, stamps="log").vehicle, command)
+            cure = {"stamps": "log"} if logged and -0.05 < logged[0] < LONGEST_DELAY else {}
+            way = "the times of logging agree: --stamps log takes those" if cure else "stamp both by one clock"
+            when = f"{abs(late):.2f} s {'after' if late > 0 else 'before'} it is commanded to"
+            yield Finding("commands", f"the vehicle turns {when}: poses and commands are stamped by different clocks; "
+                          f"{way}", cure, False)  # fmt: skip
+    elif fastest > FASTEST_TURN:
+        yield Finding("commands", f"the commanded body rates reach {fastest:.0f} rad/s: they are in deg/s, it seems; "
+                      "record rad/s", {}, False)  # fmt: skip
+
+
 def _option(name: str, value: str) -> str:
     return f"{name}={value}" if value.startswith("-") else f"{name} {value}"
 
 
-_CHECKS: tuple[Callable[[Flight], Iterator[Finding]], ...] = (_one_body, _up, _quaternions, _unit)
+_CHECKS: tuple[Callable[[Flight], Iterator[Finding]], ...] = (
+    _one_body, _still, _clock, _up, _quaternions, _unit, _distance, _delay, _speed, _rate, _commands,
+)  # fmt: skip

@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from fiplib.bags.conventions import body_z
 from fiplib.params import GRAVITY
-from fiplib.recording import Poses
+from fiplib.recording import Poses, Series
 
 STEP = 0.01  # s, of the grid on which signals are compared
 _WIDTH = 0.08  # s, of the Gaussian that smooths both sides of a comparison alike: what is faster than 2 Hz is left out
+_LONGEST = 7200.0  # s in which commands are looked for
 _LEAST = 10.0  # independent samples, for a comparison to say anything
 
 
@@ -37,10 +38,15 @@ def thrust(vehicle: Poses) -> Relation | None:
 
 
 def arm(vehicle: Poses, rod: Poses) -> NDArray:
-    """Return the vector from the vehicle to the rod at the rod's stamps, (n, 3)."""
-    at = (rod.stamp - vehicle.stamp[0]) / 1e9
-    time = (vehicle.stamp - vehicle.stamp[0]) / 1e9
-    return rod.position - np.column_stack([np.interp(at, time, column) for column in vehicle.position.T])
+    """Return the vector from the vehicle to the rod at the rod's stamps, (n, 3); nan where no vehicle is near."""
+    return rod.position - gridded(vehicle.stamp, vehicle.position, rod.stamp)
+
+
+def distance_of(reach: NDArray) -> float:
+    """Return the median length of vectors (n, 3), of those that are finite; nan if none is."""
+    lengths = np.linalg.norm(reach, axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    return float(np.median(lengths)) if len(lengths) else float("nan")
 
 
 def leaning(vehicle: Poses, rod: Poses) -> Relation | None:
@@ -56,10 +62,11 @@ def delay(vehicle: Poses, rod: Poses) -> tuple[float, float] | None:
     The rod's foot, as its own pose has it, goes where the vehicle goes.
     """
     reach = arm(vehicle, rod)
-    distance = float(np.median(np.linalg.norm(reach, axis=1)))
+    distance = distance_of(reach)
     foot = rod.position - distance * body_z(rod)
-    stamp, columns = gridded(rod.stamp, foot - (rod.position - reach))
-    _, place = gridded(vehicle.stamp, vehicle.position, stamp)
+    grid = even(rod.stamp)
+    columns = gridded(rod.stamp, foot - (rod.position - reach), grid)
+    place = gridded(vehicle.stamp, vehicle.position, grid)
     good = np.isfinite(columns).all(axis=1) & np.isfinite(place).all(axis=1)
     rate = np.gradient(smooth(np.where(good[:, None], place, 0.0)), STEP, axis=0)
     good &= smooth(good.astype(float)[:, None])[:, 0] > 0.999
@@ -80,7 +87,7 @@ def relation(stamp: NDArray, cause: NDArray, effect: NDArray, derivative: int = 
 
     None if there are too few samples, or the cause moves too little.
     """
-    _, columns = gridded(stamp, np.column_stack([cause, effect]))
+    columns = gridded(stamp, np.column_stack([cause, effect]), even(stamp))
     good = np.isfinite(columns).all(axis=1)
     columns = smooth(np.where(good[:, None], columns, 0.0))
     x, y = columns[:, :2], columns[:, 2:]
@@ -107,17 +114,60 @@ def relation(stamp: NDArray, cause: NDArray, effect: NDArray, derivative: int = 
     return Relation(matrix, float(np.sqrt(variance * np.max(np.diag(inverse)) / number)))
 
 
-def gridded(stamp: NDArray, columns: NDArray, grid: NDArray | None = None) -> tuple[NDArray, NDArray]:
-    """Return columns (n, k) on a grid of ``STEP``, nan where no sample is near; the grid in ns."""
-    if grid is None:
-        grid = np.arange(stamp[0], stamp[-1], round(STEP * 1e9))
+def rates(vehicle: Poses) -> tuple[NDArray, NDArray]:
+    """Return the body rates of the vehicle, (n, 3), rad/s, at stamps in ns on a grid; nan where poses are missing."""
+    signs = np.sign(np.sum(vehicle.orientation[1:] * vehicle.orientation[:-1], axis=1))
+    steady = vehicle.orientation * np.cumprod(np.concatenate([[1.0], np.where(signs == 0.0, 1.0, signs)]))[:, None]
+    grid = even(vehicle.stamp)
+    q = gridded(vehicle.stamp, steady, grid)
+    if len(grid) < 3:
+        return grid, np.full((len(grid), 3), np.nan)
+    change = np.gradient(q, STEP, axis=0)
+    vector, w = q[:, :3], q[:, 3:]
+    return grid, 2.0 * (w * change[:, :3] - change[:, 3:] * vector - np.cross(vector, change[:, :3]))
+
+
+def followed(vehicle: Poses, command: Series) -> tuple[float, float, float] | None:
+    """Return how the vehicle's roll and pitch rates follow the commanded ones: the delay in s, the commanded over the
+    flown rate, and their correlation at that delay. None if they hardly overlap, or nothing turns.
+    """
+    grid, flown = rates(vehicle)
+    span = max(int(command.stamp[-1]), int(vehicle.stamp[-1])) - min(int(command.stamp[0]), int(vehicle.stamp[0]))
+    if span > _LONGEST * 1e9 or len(command.stamp) < 2:
+        return None
+    first = min(int(command.stamp[0]), int(vehicle.stamp[0]))
+    count = int(span / (STEP * 1e9)) + 1
+    both = np.zeros((2, count, 2))
+    both[0] = gridded(command.stamp, command.values[:, :2], first + np.arange(count) * round(STEP * 1e9))
+    start = round((int(grid[0]) - first) / (STEP * 1e9))
+    both[1, start : start + len(grid)] = flown[: count - start, :2]
+    both = np.nan_to_num(both)
+    both -= both.mean(axis=1, keepdims=True) * (both != 0.0)
+    sent, turned = np.fft.rfft(both, 2 * count, axis=1)
+    matched = np.fft.irfft(np.sum(np.conj(sent) * turned, axis=1), 2 * count)
+    power = np.sum(both**2, axis=(1, 2))
+    if min(power) <= 0.0:
+        return None
+    at = int(np.argmax(np.abs(matched)))
+    late = (at if at < count else at - 2 * count) * STEP
+    return late, float(power[0] / matched[at]), float(matched[at] / np.sqrt(power[0] * power[1]))
+
+
+def even(stamp: NDArray) -> NDArray:
+    """Return stamps in ns every ``STEP``, over the same time."""
+    return np.arange(stamp[0], stamp[-1] + 1, round(STEP * 1e9))
+
+
+def gridded(stamp: NDArray, columns: NDArray, grid: NDArray) -> NDArray:
+    """Return columns (n, k) at other stamps, (m, k); nan where no sample is near."""
+    if len(stamp) < 2:
+        return np.full((len(grid), columns.shape[1]), np.nan)
     time, at = (stamp - stamp[0]) / 1e9, (grid - stamp[0]) / 1e9
     values = np.column_stack([np.interp(at, time, column) for column in columns.T])
-    after = np.minimum(np.searchsorted(time, at), len(time) - 1)
-    before = np.maximum(after - 1, 0)
-    reach = max(0.1, 3.0 * float(np.median(np.diff(time)))) if len(time) > 1 else 0.1
-    values[(time[after] - time[before] > reach) | (at > time[-1]) | (at < time[0])] = np.nan
-    return grid, values
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    reach = max(0.1, 3.0 * float(np.median(np.diff(time))))
+    values[(time[after] - time[after - 1] > reach) | (at > time[-1] + reach) | (at < -reach)] = np.nan
+    return values
 
 
 def smooth(columns: NDArray, wider: float = 1.0) -> NDArray:
