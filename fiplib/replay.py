@@ -54,8 +54,6 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
             f"The bag holds no commands (topic {TOPICS['command']}), which the filter needs as its input: "
             "record them, or say under which name they are recorded."
         )
-    if reason := why_no_length(flight, commands=True):
-        return reason
     if least is None:
         least = (flight.params.estimation.window - 1) * flight.params.estimation.sample_period
     common = min(flight.command.stamp[-1], flight.vehicle.stamp[-1], flight.pendulum.stamp[-1])
@@ -65,7 +63,7 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
             f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
             f"{least:.1f} s: record a longer flight, or take a shorter window."
         )
-    return None
+    return why_no_length(flight, commands=True)
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:

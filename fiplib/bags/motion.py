@@ -1,5 +1,6 @@
 """How two tracked bodies move, for checks: tilt against acceleration, axis against arm, one clock against the other."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +23,31 @@ class Relation(NamedTuple):
     """(2, 2)"""
     deviation: float
     """Largest standard deviation of its entries."""
+    explained: float
+    """Share of the effect that it explains."""
+    late: tuple[float, float] = (0.0, 0.0)
+    """By how many s the effect's stamps are late, and the deviation of that; 0 where it is not fitted."""
 
-    def is_near(self, other: NDArray, within: float) -> bool:
-        """Whether no entry differs from another matrix by more than ``within``."""
-        return bool(np.max(np.abs(self.matrix - other)) < within)
+    @property
+    def scale(self) -> float:
+        """Effect over cause, along the cause."""
+        return float(np.trace(self.matrix)) / 2.0
+
+    @property
+    def turn(self) -> float:
+        """Angle from the cause to the effect, rad."""
+        return math.atan2(self.matrix[1, 0] - self.matrix[0, 1], float(np.trace(self.matrix)))
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the effect is mirrored."""
+        return bool(np.linalg.det(self.matrix) < 0.0)
+
+    @property
+    def proven(self) -> bool:
+        """Whether the relation explains the effect and is known well, whatever it is."""
+        size = float(np.linalg.norm(self.matrix)) / math.sqrt(2.0)
+        return self.explained > 0.5 and self.deviation < 0.2 * size
 
 
 def thrust(vehicle: Poses) -> Relation | None:
@@ -33,8 +55,12 @@ def thrust(vehicle: Poses) -> Relation | None:
     tilts to accelerate; the inverse of the unit, if positions are not in m. None if it moves too little to say.
     """
     axis = body_z(vehicle)
-    slope = axis[:, :2] / np.maximum(axis[:, 2:], 0.3)
-    return relation(vehicle.stamp, GRAVITY * slope, vehicle.position[:, :2], derivative=2)
+    upward = np.where(axis[:, 2:] < 0.0, np.minimum(axis[:, 2:], -0.3), np.maximum(axis[:, 2:], 0.3))
+    columns = gridded(vehicle.stamp, np.column_stack([axis[:, :2] / upward, vehicle.position]), even(vehicle.stamp))
+    if len(columns) < 3:
+        return None
+    acceleration = np.gradient(np.gradient(columns[:, 2:4], STEP, axis=0), STEP, axis=0)
+    return relation(GRAVITY * columns[:, :2], acceleration)
 
 
 def arm(vehicle: Poses, rod: Poses) -> NDArray:
@@ -50,49 +76,35 @@ def distance_of(reach: NDArray) -> float:
 
 
 def leaning(vehicle: Poses, rod: Poses) -> Relation | None:
-    """Return the direction from the vehicle to the rod over the rod's own axis: one, if the rod's axis is its z."""
-    reach = arm(vehicle, rod)
-    length = np.linalg.norm(reach, axis=1, keepdims=True)
-    return relation(rod.stamp, body_z(rod)[:, :2], reach[:, :2] / np.maximum(length, 1e-9))
+    """Return the direction from the vehicle to the rod over the rod's own z axis: one, if the rod's z axis is its own.
 
-
-def delay(vehicle: Poses, rod: Poses) -> tuple[float, float] | None:
-    """Return by how many s the rod's stamps are late against the vehicle's, and its deviation; None if unknown.
-
-    The rod's foot, as its own pose has it, goes where the vehicle goes.
+    If the rod's stamps are late, the vehicle is elsewhere by then: by how much is fitted, too.
     """
-    reach = arm(vehicle, rod)
-    distance = distance_of(reach)
-    foot = rod.position - distance * body_z(rod)
     grid = even(rod.stamp)
-    columns = gridded(rod.stamp, foot - (rod.position - reach), grid)
     place = gridded(vehicle.stamp, vehicle.position, grid)
-    good = np.isfinite(columns).all(axis=1) & np.isfinite(place).all(axis=1)
-    rate = np.gradient(smooth(np.where(good[:, None], place, 0.0)), STEP, axis=0)
-    good &= smooth(good.astype(float)[:, None])[:, 0] > 0.999
-    if good.sum() * STEP < _LEAST * 3 * _WIDTH:
+    columns = gridded(rod.stamp, np.column_stack([body_z(rod)[:, :2], rod.position]), grid)
+    if len(columns) < 3:
         return None
-    here = smooth(np.where(np.isfinite(columns), columns, 0.0))[good]
-    x, y = rate[good] - rate[good].mean(axis=0), here - here.mean(axis=0)
-    power = float(np.sum(x**2))
-    late = -float(np.sum(x * y)) / power if power > 0 else 0.0
-    rest = y + late * x
-    number = good.sum() * STEP / (3.5 * _WIDTH)
-    spread = float(np.sqrt(np.mean(rest**2) / max(np.mean(x**2), 1e-12) / number))
-    return late, spread
+    reach = columns[:, 2:] - place
+    distance = distance_of(reach)
+    rate = np.gradient(place, STEP, axis=0)[:, :2] / distance
+    found = relation(np.column_stack([columns[:, :2], rate]), reach[:, :2] / distance)
+    if found is None:
+        return None
+    late = -float(np.trace(found.matrix[:, 2:])) / 2.0, found.late[1]
+    return found._replace(matrix=found.matrix[:, :2], late=late)
 
 
-def relation(stamp: NDArray, cause: NDArray, effect: NDArray, derivative: int = 0) -> Relation | None:
-    """Fit effect = matrix cause + constant, (n, 2) each, below 2 Hz; ``derivative`` of the effect is taken first.
+def relation(cause: NDArray, effect: NDArray) -> Relation | None:
+    """Fit effect = matrix cause + constant below 2 Hz; columns (n, k) and (n, 2) on a grid, nan where not known.
 
-    None if there are too few samples, or the cause moves too little.
+    Further columns of the cause than two are fitted, too. None if there are too few samples, or the cause moves too
+    little.
     """
-    columns = gridded(stamp, np.column_stack([cause, effect]), even(stamp))
+    columns = np.column_stack([cause, effect])
     good = np.isfinite(columns).all(axis=1)
     columns = smooth(np.where(good[:, None], columns, 0.0))
-    x, y = columns[:, :2], columns[:, 2:]
-    for _ in range(derivative):
-        y = np.gradient(y, STEP, axis=0)
+    x, y = columns[:, :-2], columns[:, -2:]
     # nothing within reach of a gap, or of an end
     good = smooth(good.astype(float)[:, None], 2.0)[:, 0] > 0.999
     weight = good.astype(float)
@@ -102,16 +114,21 @@ def relation(stamp: NDArray, cause: NDArray, effect: NDArray, derivative: int = 
     for _ in range(4):  # pushes, falls and mistracked poses count less
         total = weight.sum()
         cx, cy = x - weight @ x / total, y - weight @ y / total
-        normal = cx.T @ (weight[:, None] * cx)
-        if np.linalg.cond(normal) > 1e6:
+        normal = cx.T @ (weight[:, None] * cx) / total
+        size = np.sqrt(np.diag(normal))
+        if not np.all(size > 1e-9) or np.linalg.cond(normal / np.outer(size, size)) > 1e4:
             return None
-        matrix = np.linalg.solve(normal, cx.T @ (weight[:, None] * cy)).T
+        matrix = np.linalg.solve(normal, cx.T @ (weight[:, None] * cy) / total).T
         rest = np.linalg.norm(cy - cx @ matrix.T, axis=1)
         scale = 1.5 * float(np.median(rest[good])) + 1e-12
         weight = good / np.maximum(1.0, rest / (2.0 * scale))
-    variance = float(weight @ rest**2 / weight.sum()) / 2.0
-    inverse = np.linalg.inv(normal / weight.sum())
-    return Relation(matrix, float(np.sqrt(variance * np.max(np.diag(inverse)) / number)))
+    total = weight.sum()
+    variance = float(weight @ rest**2 / total) / 2.0
+    deviations = np.sqrt(variance * np.diag(np.linalg.inv(normal)) / number)
+    power = float(weight @ np.sum((cy - weight @ cy / total) ** 2, axis=1) / total)
+    explained = 1.0 - 2.0 * variance / power if power > 0.0 else 0.0
+    late = (0.0, float(np.max(deviations[2:], initial=0.0)))
+    return Relation(matrix, float(np.max(deviations[:2])), explained, late)
 
 
 def rates(vehicle: Poses) -> tuple[NDArray, NDArray]:

@@ -16,7 +16,7 @@ def why_no_length(flight: Flight, commands: bool = False) -> str | None:
 
 
 def tracked(flight: Flight) -> Flight:
-    """Return the flight without the poses of bodies that were not tracked, as ``bags.checks`` finds them."""
-    from fiplib.bags import checks
+    """Return the flight without the poses of bodies that were not tracked, as ``bags.tracking`` finds them."""
+    from fiplib.bags import tracking
 
-    return checks.tracked(flight)
+    return tracking.tracked(flight)
