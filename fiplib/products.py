@@ -37,7 +37,11 @@ PRODUCTS = {
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
     "fig14-growth": Product("fiplib.studies.benchmarks:fig14_growth", benchmarks=("growth",)),
-    "fig15-coverage": Product("fiplib.studies.poses:fig15_coverage", studies=("poses",)),
+    "fig15-identifiability": Product(
+        "fiplib.studies.identifiability:fig15_identifiability", bags=("push-hover", "circle-0.8")
+    ),
+    "fig16-coverage": Product("fiplib.studies.poses:fig16_coverage", studies=("poses",)),
+    "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -53,6 +57,7 @@ PRODUCTS = {
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
     "table13-coverage": Product("fiplib.studies.poses:table13_coverage", studies=("poses",)),
+    "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fiplib.batch import fly_many
 from fiplib.dynamics import PLANT
 from fiplib.estimators.cramer_rao import Motion, cramer_rao_of_poses, motion
 from fiplib.estimators.poses.estimate import NORMAL, PoseEstimate, estimate
@@ -38,6 +37,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Plant, Push, Scenario, fly
+from fiplib.studies.batch import fly_many
 from fiplib.studies.estimators import summarise
 from fiplib.studies.imperfections import Imperfection, ImperfectPlant
 
@@ -300,8 +300,8 @@ def pooled(rows: Rows, condition: str) -> Pooled:
     return Pooled(int(total), shares, mean, square, float(weights @ sd / total), limit, covered)
 
 
-def fig15_coverage(rows: Rows) -> Figure:
-    """Fig. 15: the share of 95 % intervals that hold the length, by condition, and how many windows are refused."""
+def fig16_coverage(rows: Rows) -> Figure:
+    """Fig. 16: the share of 95 % intervals that hold the length, by condition, and how many windows are refused."""
     figure = Figure(figsize=(COLUMN, 5.2), layout="constrained")
     axes, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
     colours = {"stated": BLUE, "untold": ORANGE, "wrong": PURPLE}

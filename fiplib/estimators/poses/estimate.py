@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.checks import tracked, why_no_length
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.checks import Refusal
 from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H, R
@@ -103,6 +104,9 @@ def solved(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Solu
 
 def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
     """Return the length of the rod from the two bodies of a recorded flight; see ``estimate``."""
+    if reason := why_no_length(flight):
+        return PoseEstimate(reason=reason)
+    flight = tracked(flight)
     bodies, notes = [], []
     for name, body in (("vehicle", flight.vehicle), ("pendulum", flight.pendulum)):
         axis, turned = upright_axis(body.orientation)
