@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.harness import Absent, Contender, Row, compare, main, needs, rate
-from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
 from fiplib.params import GRAVITY, Params
 from fiplib.pilot import Circle
 from fiplib.recording import Flight
@@ -46,11 +46,12 @@ def truth(flight: Flight) -> NDArray:
 def model(params: Params) -> str:
     """Vehicle and rod for MuJoCo, equivalent to ``dynamics.coupled_plant``.
 
-    The vehicle is a ball of small inertia whose rates follow the commands with the lag of the inner loop: a torque
-    proportional to what is missing, without gyroscopic terms. The rod turns about the vehicle's centre of mass.
+    The vehicle is a ball whose rates follow the commands with the lag of the inner loop: a torque proportional to what
+    is missing, without gyroscopic terms. Its inertia is so large that the rod, on its seat above the centre of mass,
+    does not turn it: the lag stands for a loop that holds the rates whatever the rod does.
     """
     vehicle, rod, lags = params.vehicle, params.pendulum, params.simulation
-    inertia, half = 1e-3, rod.length / 2
+    inertia, half = 1e6, rod.length / 2
     turn = rod.mass * rod.gyration_ratio * rod.length**2
     rates = "".join(
         f'<general site="hub" gear="0 0 0 {axis}" gainprm="{inertia / lags.rate_lag}" biastype="affine" '
@@ -62,7 +63,7 @@ def model(params: Params) -> str:
     <flag contact="disable" constraint="disable"/></option>
   <worldbody><body name="vehicle"><freejoint/><site name="hub"/>
     <inertial pos="0 0 0" mass="{vehicle.mass}" diaginertia="{inertia} {inertia} {inertia}"/>
-    <body name="rod"><joint type="ball"/>
+    <body name="rod" pos="0 0 {vehicle.seat_height}"><joint type="ball"/>
       <inertial pos="0 0 {half}" mass="{rod.mass}" diaginertia="{turn} {turn} {turn * 1e-3}"/></body></body></worldbody>
   <actuator>{rates}
     <general site="hub" gear="0 0 1 0 0 0" dyntype="filter" dynprm="{lags.thrust_lag}"/></actuator>
@@ -112,7 +113,8 @@ class MuJoCoPlant(ForeignPlant):
         self.model = self.mujoco.MjModel.from_xml_string(model(params))
         self.data = data = self.mujoco.MjData(self.model)
         q = self.x[PLANT["direction"]]
-        data.qpos[:3] = self.x[PLANT["position"]]
+        self.seat = np.array([0.0, 0.0, params.vehicle.seat_height])
+        data.qpos[:3] = self.x[PLANT["position"]] - self.seat  # level at the start
         data.qpos[3:7] = np.roll(self.x[PLANT["attitude"]], 1)
         data.qpos[7:11] = np.array([1.0 + q[2], -q[1], q[0], 0.0]) / np.sqrt(2.0 * (1.0 + q[2]))
         data.act[0] = self.x[19]
@@ -129,7 +131,10 @@ class MuJoCoPlant(ForeignPlant):
         attitude, rod, spin = np.empty(4), np.empty(4), np.empty(3)
         attitude[:] = data.qpos[3:7]
         self.mujoco.mju_mulQuat(rod, attitude, data.qpos[7:11])
-        x[0:3], x[3:6], x[6:9], x[9] = data.qpos[:3], data.qvel[:3], attitude[1:], attitude[0]
+        seat, moved = np.empty(3), np.empty(3)
+        self.mujoco.mju_rotVecQuat(seat, self.seat, attitude)
+        self.mujoco.mju_rotVecQuat(moved, np.cross(data.qvel[3:6], self.seat), attitude)
+        x[0:3], x[3:6], x[6:9], x[9] = data.qpos[:3] + seat, data.qvel[:3] + moved, attitude[1:], attitude[0]
         self.mujoco.mju_rotVecQuat(x[10:13], np.array([0.0, 0.0, 1.0]), rod)
         self.mujoco.mju_rotVecQuat(spin, data.qvel[6:9], rod)
         turn = np.empty(3)
@@ -185,10 +190,7 @@ def substep(params: Params) -> ca.Function:
     """One RK4 step of the plant, then the projection onto unit quaternion and direction."""
     x, command, force = ca.SX.sym("x", 20), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     after = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)(x, command, force)
-    attitude, q, q_dot = after[PLANT["attitude"]], after[PLANT["direction"]], after[PLANT["direction_rate"]]
-    q = q / ca.norm_2(q)
-    unit = ca.vertcat(after[:6], attitude / ca.norm_2(attitude), q, q_dot - q * ca.dot(q, q_dot), after[16:])
-    return ca.Function("substep", [x, command, force], [unit])
+    return ca.Function("substep", [x, command, force], [projected(after)])
 
 
 def generated(folder: Path, params: Params) -> type[CasadiPlant]:
@@ -267,7 +269,7 @@ def measure(quick: bool) -> list[Row]:
 
 def batch(duration: float, seeds: list[int]) -> list[Row]:
     """All flights in one compiled batch, beside one by one."""
-    from fiplib.batch import fly_many
+    from fiplib.studies.batch import fly_many
 
     scenarios = [scenario(duration, seed) for seed in seeds]
 
