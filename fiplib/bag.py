@@ -5,7 +5,7 @@ import argparse
 from fiplib.bags import arguments
 from fiplib.bags.checks import findings
 from fiplib.bags.convert import convert
-from fiplib.bags.info import describe
+from fiplib.bags.info import inform
 from fiplib.bags.reader import read
 from fiplib.bags.recovery import recover
 from fiplib.estimators.poses import report
@@ -28,10 +28,11 @@ def run(options: argparse.Namespace) -> int:
         return 0
     from fiplib import replay  # with its solvers it takes longer to import than a bag to recover
 
-    flight = read(options.bag, **arguments.reading(options))
+    reading = arguments.reading(options)
     if options.command == "info":
-        print(describe(flight, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
+        print(inform(options.bag, reading, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
         return 0
+    flight = read(options.bag, **reading)
     found = replay.length_from_poses(flight, **report.stated(options))
     say = report.in_json if options.json else report.sentences
     print(say(found, flight.notes, findings(flight)))
