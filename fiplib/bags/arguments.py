@@ -5,18 +5,28 @@ from pathlib import Path
 from typing import Any
 
 from fiplib.bags.csv_files import POSE, UNITS, Stated
+from fiplib.bags.tables import FORMATS, TABLES
 from fiplib.recording import ROLES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """Add info, length, recover and convert; return the parser of length, which takes more."""
+    """Add info, length, cut, export, recover and convert; return the parser of length, which takes more."""
     commands: Any = parser.add_subparsers(dest="command", required=True)
     info = commands.add_parser("info", help="say what a bag holds, and check it")
     length = commands.add_parser("length", help="say how long the rod is, from the two tracked bodies alone")
-    for command in (info, length):
+    cut = commands.add_parser("cut", help="write a stretch of a bag into a new one")
+    export = commands.add_parser("export", help="write states, poses or estimates into a CSV, Parquet or NPZ file")
+    for command in (info, length, cut, export):
         command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
         command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
+    cut.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
+                     help="s after the first pose (default: 0)")  # fmt: skip
+    cut.add_argument("--to", dest="end", type=float, metavar="S", help="s after the first pose (default: the end)")
+    cut.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-cut)")
+    export.add_argument("--to", dest="file", type=Path, required=True, metavar="FILE",
+                        help=f"file to create; its name ends in {', '.join(FORMATS)}")  # fmt: skip
+    export.add_argument("--what", choices=tuple(TABLES), default="states", help="which numbers (default: states)")
     rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
     rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
     rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
