@@ -4,7 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from fiplib.bags.csv_files import POSE, UNITS, Stated
+from fiplib.bags.conventions import QUATERNIONS, UNITS, UPWARDS
+from fiplib.bags.csv_files import POSE, Stated
+from fiplib.bags.roles import BODIES
 from fiplib.bags.tables import FORMATS, TABLES
 from fiplib.recording import ROLES
 
@@ -20,6 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
         command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
+        if command is cut:
+            continue
+        poses = command.add_argument_group("conventions of the poses", "Where they differ from z up, metres, x y z w.")
+        poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
+        poses.add_argument("--unit", choices=UNITS, help="of positions")
+        poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
+        poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER",
+                           help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
     cut.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
                      help="s after the first pose (default: 0)")  # fmt: skip
     cut.add_argument("--to", dest="end", type=float, metavar="S", help="s after the first pose (default: the end)")
@@ -51,3 +61,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 def stated(options: argparse.Namespace) -> Stated:
     """Return what the options of convert say of a CSV file."""
     return Stated(*(getattr(options, name) for name in Stated._fields))
+
+
+def reading(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options of info, length and export say of a bag: keyword arguments of ``bags.read``."""
+    orders: dict[str, str] = {}
+    for text in options.quaternion:
+        body, _, order = text.rpartition("=")
+        orders |= {body: order} if body else dict.fromkeys(BODIES, order)
+    return {
+        "topics": topics(options),
+        "up": options.up,
+        "unit": options.unit,
+        "swap": options.swap,
+        "quaternion": orders,
+    }
+
+
+def topics(options: argparse.Namespace) -> dict[str, str]:
+    """Return the names of topics that the options state, by role."""
+    return dict(pair.partition("=")[::2] for pair in options.topic)

@@ -71,7 +71,7 @@ def columns(flight: Flight, what: str = "states") -> dict[str, NDArray]:
 
 
 def to_dataframe(flight: Flight, what: str = "states") -> "pandas.DataFrame":
-    """Return a table of a flight as a pandas DataFrame; see ``columns``. Needs pandas: ``pip install 'fip[tables]'``."""
+    """Return a table of a flight as a pandas DataFrame; see ``columns``. Needs the extra ``fip[tables]``."""
     import pandas
 
     return pandas.DataFrame(columns(flight, what))
