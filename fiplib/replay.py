@@ -29,9 +29,6 @@ STRIDE = 14
 MOST_SAMPLES = 250
 """Samples in a window between two times at most: beyond, an estimate takes longer than one likes to wait."""
 
-BY_CHANCE = 1e-3
-"""Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
-
 
 class TimedWindow(NamedTuple):
     """A window of the estimator and the time in ns at which it was complete."""
@@ -148,9 +145,9 @@ def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told)
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     """
-    from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
+    from fiplib.estimators.poses.history import length_of_flight  # compiled code: half a second to import
 
-    return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
+    return length_of_flight(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from codecs import getincrementaldecoder
 from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -154,10 +155,13 @@ def _text(file: Path) -> str:
     """What kind of text a file is; empty if it is none."""
     with file.open("rb") as stream:
         head = stream.read(512)
-    words = head.decode(errors="replace").strip("\ufffd \t\r\n\ufeff")
-    if not words:
-        return "" if head else "an empty file"
-    if not all(letter.isprintable() or letter in "\t\r\n" for letter in words):
+    if not head:
+        return "an empty file"
+    try:
+        words = getincrementaldecoder("utf-8-sig")().decode(head).strip()
+    except UnicodeDecodeError:
+        return ""
+    if not words or not all(letter.isprintable() or letter in "\t\r\n" for letter in words):
         return ""
     return "a JSON file" if words[0] in "{[" else "an XML file" if words[0] == "<" else "a text file"
 
