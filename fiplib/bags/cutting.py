@@ -1,6 +1,7 @@
 """A stretch of a bag as a new bag: every topic, every message with the bytes and the log time that it has."""
 
 import json
+import math
 import shlex
 from collections.abc import Mapping
 from contextlib import suppress
@@ -71,6 +72,8 @@ def cut(
     output = Path(output) if output else source.parent / f"{name}-cut"
     if source.is_dir() and output.resolve().is_relative_to(source.resolve()):
         raise BagError(f"{output}: lies inside {source}, which is to stay as it is: choose another --output")
+    if not (math.isfinite(start) and math.isfinite(end or 0.0)):
+        raise BagError(f"{source}: a stretch begins and ends at finite times, in s; without --to it goes to the end")
     if end is not None and not start < end:
         raise BagError(f"{source}: a stretch from {start:g} to {end:g} s is empty: --to must be larger than --from")
     try:
