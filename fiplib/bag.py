@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fiplib.bags import arguments
+from fiplib.bags.checks import findings
 from fiplib.bags.convert import convert
 from fiplib.bags.cutting import cut
 from fiplib.bags.info import describe
@@ -65,5 +66,5 @@ def _read(options: argparse.Namespace) -> int:
         windows = list(history.windows(flight, knowledge))
         length_figure.save(length_figure.length_figure(flight, windows, growing), options.plot)
     say = report.in_json if options.json else report.sentences
-    print(say(found, flight.notes))
+    print(say(found, flight.notes, findings(flight)))
     return 0 if found.reason is None else 3

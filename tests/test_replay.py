@@ -111,10 +111,11 @@ def test_two_halves_that_contradict_each_other_give_no_length(estimated):
     assert "contradict each other beyond chance" in found.reason
 
 
-def test_bodies_that_were_exchanged_give_no_length_but_the_reason(estimated):
+def test_bodies_that_are_exchanged_give_no_length_by_any_estimator(estimated):
     exchanged = dataclasses.replace(estimated, vehicle=estimated.pendulum, pendulum=estimated.vehicle)
-    found = replay.estimate(exchanged)
-    assert np.isnan(found.length) and "swapped" in found.reason
+    assert "the rod is below the vehicle" in replay.estimate(exchanged).reason
+    with pytest.raises(BagError, match="the rod is below the vehicle"):
+        replay.refit(exchanged)
 
 
 def test_commands_do_not_change_the_estimate(estimated):

@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
         poses.add_argument("--unit", choices=UNITS, help="of positions")
         poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
+        poses.add_argument("--stamps", choices=("log",), help="the times of logging stand for the stamps of poses")
         poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER",
                            help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
     cut.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
@@ -69,13 +70,8 @@ def reading(options: argparse.Namespace) -> dict[str, Any]:
     for text in options.quaternion:
         body, _, order = text.rpartition("=")
         orders |= {body: order} if body else dict.fromkeys(BODIES, order)
-    return {
-        "topics": topics(options),
-        "up": options.up,
-        "unit": options.unit,
-        "swap": options.swap,
-        "quaternion": orders,
-    }
+    same = {name: getattr(options, name) for name in ("up", "unit", "swap", "stamps")}
+    return {"topics": topics(options), "quaternion": orders, **same}
 
 
 def topics(options: argparse.Namespace) -> dict[str, str]:
