@@ -85,7 +85,7 @@ class Guard:
         self.accepted = None
         if self.ended is not None:
             return self._between(now)
-        good = self.monitor.take(now, measurement)
+        good = self.monitor.take(now, measurement, self._tilt.shown if self._given_up else None)
         self.notes += [Event(now, "warn", remark) for remark in self.monitor.remarks]
         self.monitor.remarks.clear()
         if good is None:
@@ -98,7 +98,7 @@ class Guard:
             return self._between(now)
         self.accepted = good
         roll, pitch, _ = euler_angles(good.vehicle_attitude)
-        self._tilt.see(good.stamp, (roll, pitch))
+        self._tilt.see(self.monitor.exposed(good.stamp), (roll, pitch))
         self._check_limits(now, good)
         self._check_ages(now)
         if self.ended is not None:

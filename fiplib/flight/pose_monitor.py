@@ -6,11 +6,13 @@ of the last good one.
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.dynamics import body_z_of
+from fiplib.flight.arming import angle_between
 from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
 from fiplib.recording import Measurement
@@ -24,8 +26,12 @@ STAMPS = 24
 """Stamps looked back at when judging a clock: 0.1 s of frames."""
 DRIFT = 500
 """Clocks may drift apart by so many ns per frame, 120 ppm: cheap quartz is within 100."""
+SAME_CLOCK = NANO // 10
+"""Arrivals that usually come so many ns after their stamps are stamped by the same clock: 0.1 s at most is a delay."""
 STEADY = 120
 """Frames over which a clock's stamps must agree with the arrivals to be used again: 0.5 s."""
+Tilts = Callable[[int], tuple[float, float]]
+"""Time of exposure in ns by the clock of arrivals -> roll and pitch in rad that the commands lead to."""
 
 
 class PoseMonitor:
@@ -57,8 +63,11 @@ class PoseMonitor:
         self._leads: deque[int] = deque(maxlen=STEADY)
         self._behind = self._refused = 0
 
-    def take(self, now: int, measurement: Measurement) -> Measurement | None:
+    def take(self, now: int, measurement: Measurement, tilts: Tilts | None = None) -> Measurement | None:
         """Judge a frame that arrived at ``now`` ns.
+
+        Args:
+            tilts: once the rod is given up, the tilt that a frame must show, by its time of exposure.
 
         Returns:
             The frame, with its stamp put right if its clock is wrong; ``None`` if it is not good (see ``refusal``).
@@ -75,7 +84,7 @@ class PoseMonitor:
         corrected = self._stamped(now, stamp)
         if corrected is None:
             return None
-        self.refusal = self._moved(corrected, values)
+        self.refusal = self._moved(corrected, values) or self._contradicted(corrected, values, tilts)
         if self.refusal:
             self._refused += 1
             if not (self.learning and self._refused >= self._safety.recovery_frames):
@@ -87,6 +96,10 @@ class PoseMonitor:
     def age(self, now: int) -> float:
         """Seconds since the exposure of the newest good frame, less the usual delay; infinite before the first."""
         return math.inf if self._last is None else (now - self._newest - self._delay) / NANO
+
+    def exposed(self, stamp: int) -> int:
+        """Return the time of a stamp by the clock of arrivals, ns; where that is another clock, the usual arrival."""
+        return stamp if 0 <= self._delay < SAME_CLOCK else stamp + self._delay
 
     @property
     def vehicle_position(self) -> tuple[float, float, float]:
@@ -166,8 +179,9 @@ class PoseMonitor:
         expected = before[:, :3] + self.velocity * elapsed
         jumps = np.sqrt(((positions - expected) ** 2).sum(1))
         swapped = np.sqrt(((positions[::-1] - expected) ** 2).sum(1))
-        # what is allowed grows with time, and reaches the other body in the end: the nearer of the two counts
-        if (jumps > safety.jump).any() and (swapped <= allowed).all() and swapped.max() < jumps.max():
+        # What is allowed grows with time, and reaches the other body in the end: the body nearer to where the vehicle
+        # must be is the vehicle. Where the rod must be says less: nobody can tell how a rod falls that is given up.
+        if (jumps > safety.jump).any() and swapped[0] <= allowed and swapped[0] < jumps[0]:
             return "bodies swapped"
         if (jumps > allowed).any():
             return f"{BODIES[int(jumps.argmax())]} position jumps"
@@ -178,6 +192,16 @@ class PoseMonitor:
         if turned < math.pi and (cosine < math.cos(turned / 2.0) - 1e-3).any():
             return f"{BODIES[int(cosine.argmin())]} attitude jumps"
         return None
+
+    def _contradicted(self, stamp: int, values: NDArray, tilts: Tilts | None) -> str | None:
+        """Why a frame cannot be of a vehicle that levels as commanded, if so."""
+        if tilts is None:
+            return None
+        roll, pitch = tilts(self.exposed(stamp))
+        # the body's z axis of R = Rx(roll) Ry(pitch) Rz(yaw), as dynamics.euler_angles has it
+        expected = (math.sin(pitch), -math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+        off = angle_between(body_z_of(values[3:7]), np.array(expected))
+        return "vehicle attitude contradicts the commands" if off > self._safety.turn else None
 
     def _accept(self, stamp: int, values: NDArray) -> None:
         positions = values.reshape(2, 7)[:, :3]
