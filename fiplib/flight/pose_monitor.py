@@ -147,6 +147,9 @@ class PoseMonitor:
             ahead, behind = excess < -self._tolerance, corrected <= self._newest
             self._ahead.append(ahead)
             self._behind = self._behind + 1 if behind else 0
+            if not self.learning and self._says_old(now, corrected):
+                self.refusal = "stamp older than any pose that may be used"
+                return None
             if max(sum(self._ahead), self._behind) < STAMPS // 4:
                 if ahead or behind:
                     self.refusal = "stamp ahead of its arrival" if ahead else "stamp not after the last"
@@ -157,6 +160,9 @@ class PoseMonitor:
             self._trusted = False
             self._leads.clear()
             self.remarks.append("stamps are out of order or a clock has stepped: arrivals stand in for stamps")
+        if not self.learning and self._says_old(now, stamp + self._correction):
+            self.refusal = "stamp older than any pose that may be used"
+            return None
         corrected = now - self._delay
         self._leads.append(stamp - now)
         if len(self._leads) == STEADY and max(self._leads) - min(self._leads) <= 2 * self._tolerance:
@@ -168,6 +174,13 @@ class PoseMonitor:
             self.refusal = "stamp not after the last"
             return None
         return corrected
+
+    def _says_old(self, now: int, stamp: int) -> bool:
+        """Whether a pose is, by its stamp, as old as one that disarms: from a recording that is played, perhaps.
+
+        A clock that has stepped back looks the same; arrivals must not stand in for its stamps either.
+        """
+        return now - self._delay - stamp >= self._safety.pose_disarm * NANO
 
     def _moved(self, stamp: int, values: NDArray) -> str | None:
         """Why a frame cannot follow the last good one, if so."""

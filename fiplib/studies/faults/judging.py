@@ -22,7 +22,7 @@ LEVEL = math.radians(10.0)
 DISARM_SECONDS = 0.5
 """Level-and-disarm frames must last that long at the end of a flight: ExpressLRS and Betaflight need that, s."""
 DANGER = math.radians(30.0)
-"""A vehicle that tilts further with motors on, when the rod is given up, is in danger; the MPC tilts by 23 deg, rad."""
+"""A vehicle that tilts further while it lands is in danger, rad; in flight ``safety.max_tilt`` counts."""
 LOW = Limits().safety.floor + 0.05
 """A vehicle that is disarmed below has landed, m."""
 BALANCED, NOT_ARMED = "balanced", "not armed"

@@ -152,7 +152,9 @@ class VirtualFault(Fault):
         tilt = max(judging.tilt_of(truth) for now, truth in link.truths if took_off <= now <= off)
         perfect, gaps = yardstick(scenario, link.blind, link.deaf, dict(link.sent) if link.deaf != NEVER else None)
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
-        level, landing = judging.tilt_of(stopped) < judging.LEVEL and tilt < judging.DANGER, link.phase == "landing"
+        landing = link.phase == "landing"
+        level = judging.tilt_of(stopped) < judging.LEVEL
+        level = level and tilt < (judging.DANGER if landing else LIMITS.safety.max_tilt)
         verdict = judging.judge(safe, balanced, level, perfect, gaps, self.demanded)
         if landing:
             low = stopped[10] < judging.LOW
