@@ -181,7 +181,10 @@ class Guard:
     def _prepared(self, now: int, good: Measurement) -> bool:
         """Apply the arm checks; returns whether this is the first frame of the flight."""
         speed = float(np.sqrt((self.monitor.velocity**2).sum(1)).max())
-        if not self.arming.passed(now, good, self.lean, self.tilt, speed):
+        steady = self.monitor.trusted
+        if not steady:  # in flight nothing can stand in for the stamps of a clock that has stepped back
+            self.arming.failed("stamps are out of order, or their clock has stepped")
+        if not steady or not self.arming.passed(now, good, self.lean, self.tilt, speed):
             self._happens(now, Condition.CHECKS_FAILED, self.arming.waiting)
             return False
         self._happens(now, Condition.CHECKS_PASSED, "arm checks passed")

@@ -44,6 +44,7 @@ class PoseMonitor:
         refusal: why the last frame was refused; ``None`` if it was good.
         velocity: of vehicle and pendulum, (2, 3), m/s, from good frames.
         learning: before a flight: the usual delay of arrivals is learnt, and bodies may be put elsewhere.
+        trusted: whether stamps are used; else arrivals stand in for them.
         remarks: what is worth recording about clocks; to be emptied by the reader.
     """
 
@@ -58,7 +59,7 @@ class PoseMonitor:
         self._raw: tuple[int, NDArray] | None = None
         self._last: NDArray | None = None
         self._newest = self._delay = self._correction = 0  # ns
-        self._trusted = True
+        self.trusted = True
         self._ahead: deque[bool] = deque(maxlen=STAMPS)
         self._leads: deque[int] = deque(maxlen=STEADY)
         self._behind = self._refused = 0
@@ -138,7 +139,7 @@ class PoseMonitor:
         if self._last is None and self._newest == 0:
             self._delay = now - stamp
             return stamp
-        if self._trusted:
+        if self.trusted:
             corrected = stamp + self._correction
             excess = now - corrected - self._delay
             if self.learning and excess < -self._tolerance:
@@ -148,7 +149,7 @@ class PoseMonitor:
             self._ahead.append(ahead)
             self._behind = self._behind + 1 if behind else 0
             if not self.learning and self._says_old(now, corrected):
-                self.refusal = "stamp older than any pose that may be used"
+                self.refusal = "stamp of an old pose"
                 return None
             if max(sum(self._ahead), self._behind) < STAMPS // 4:
                 if ahead or behind:
@@ -157,16 +158,16 @@ class PoseMonitor:
                 # the least delay is the usual one; a slow leak follows clocks that drift apart
                 self._delay += min(excess, 0) or min(excess // 1000, DRIFT)
                 return corrected
-            self._trusted = False
+            self.trusted = False
             self._leads.clear()
             self.remarks.append("stamps are out of order or a clock has stepped: arrivals stand in for stamps")
         if not self.learning and self._says_old(now, stamp + self._correction):
-            self.refusal = "stamp older than any pose that may be used"
+            self.refusal = "stamp of an old pose"
             return None
         corrected = now - self._delay
         self._leads.append(stamp - now)
         if len(self._leads) == STEADY and max(self._leads) - min(self._leads) <= 2 * self._tolerance:
-            self._trusted, self._behind = True, 0
+            self.trusted, self._behind = True, 0
             self._correction = -self._delay - max(self._leads)
             self._ahead.clear()
             self.remarks.append("stamps are steady again")

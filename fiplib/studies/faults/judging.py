@@ -25,6 +25,8 @@ DANGER = math.radians(30.0)
 """A vehicle that tilts further while it lands is in danger, rad; in flight ``safety.max_tilt`` counts."""
 LOW = Limits().safety.floor + 0.05
 """A vehicle that is disarmed below has landed, m."""
+SEAT = Params().seat_above_tracked
+"""Height of the seat, whose place is in a true state, above the point that motion capture gives, m."""
 BALANCED, NOT_ARMED = "balanced", "not armed"
 TILTED = "NOT MET: in danger, or disarmed while tilted"
 UNSAFE = "NOT MET: exception, command, disarming or bag"
@@ -106,7 +108,7 @@ def tilt_of(truth: NDArray) -> float:
 
 def given_up(truth: NDArray) -> str:
     """Say how the motors were stopped, from the true state (11,) at the first disarm frame."""
-    tilt, height = tilt_of(truth), truth[10]
+    tilt, height = tilt_of(truth), truth[10] - SEAT
     how = "levelled" if tilt < LEVEL else f"tilted {math.degrees(tilt):.0f} deg"
     where = "landed" if height < LOW else f"stopped at {height:.1f} m"
     return f"rod given up, {how}, {where}, disarmed"

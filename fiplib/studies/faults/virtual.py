@@ -157,7 +157,7 @@ class VirtualFault(Fault):
         level = level and tilt < (judging.DANGER if landing else LIMITS.safety.max_tilt)
         verdict = judging.judge(safe, balanced, level, perfect, gaps, self.demanded)
         if landing:
-            low = stopped[10] < judging.LOW
+            low = stopped[10] - judging.SEAT < judging.LOW
             verdict = judging.judge_landing(safe, level, low, guard.ended or "", link.deaf != NEVER, self.demanded)
         reason = guard.ended if landing else levelled.reason if levelled and not balanced else ""
         until = math.inf if landing or ended is None else ended.stamp
