@@ -118,6 +118,11 @@ def _information(path: Path) -> Mapping[str, Any]:
     return dict(YAML(typ="safe").load(file.read_text())["rosbag2_bagfile_information"])
 
 
+def named_files(path: Path) -> list[str]:
+    """Return the names of the files that a bag's metadata.yaml names. Raises whatever YAML raises."""
+    return [PurePath(name).name for name in _information(path).get("relative_file_paths", ())]
+
+
 def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
     if path.is_file():
         if is_ros1(path) or path.suffix.lower() in (".csv", ".tsv"):

@@ -44,6 +44,7 @@ class Guard:
         transitions: every change of it so far.
         notes: remarks that changed no mode: doubtful clocks, refused estimates.
         ended: why the flight has ended, ``None`` before.
+        landed: whether it ended on the ground, below ``safety.floor``.
         accepted: the last frame given to ``frame`` if it was good and in flight: what the pilot saw, and bags hold.
         observed: when the pilot takes it to have arrived, ns; one that comes late counts as of when it was due.
         refused: how many frames were refused, by reason.
@@ -56,6 +57,7 @@ class Guard:
         self.transitions: list[Transition] = []
         self.notes: list[Event] = []
         self.ended: str | None = None
+        self.landed = False
         self.accepted: Measurement | None = None
         self.observed = -1
         self.refused: dict[str, int] = {}
@@ -259,7 +261,7 @@ class Guard:
             self.mode, self._entered = row.after, now
         self._given_up = self._given_up or row.final
         if row.final and row.after is Mode.DISARMED:
-            self.ended = reason
+            self.ended, self.landed = reason, condition is Condition.LANDED
             if self.refused:
                 counts = ", ".join(f"{count} {cause}" for cause, count in self.refused.items())
                 self.notes.append(Event(now, "info", f"frames refused in all: {counts}"))

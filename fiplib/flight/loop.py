@@ -91,6 +91,11 @@ class FlightLoop:
         self._stopping = False
         self._frames = self._recorded = self._drawn = 0  # frames received; ns of what was recorded and drawn last
 
+    @property
+    def flown(self) -> bool:
+        """Whether the vehicle was armed."""
+        return self._began is not None
+
     def run(self) -> None:
         """Fly until the guard has ended the flight.
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from fiplib.bags.live import RESERVE
+from fiplib.bags.writer import RESERVE
 from fiplib.flight import command
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits
