@@ -39,6 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.NAME=VALUE", help=change)
     parser.add_argument("--duration", type=float, metavar="S", help="seconds to fly (default: the scenario's)")
     parser.add_argument("--arm", action="store_true", help="arm a real vehicle without waiting for Enter")
+    untested = (
+        "fly a real vehicle although the machine fails the self-test of its deadlines, a second before the flight"
+    )
+    parser.add_argument("--ignore-self-test", action="store_true", help=untested)
     links = available()
     parser.add_argument("--link", choices=links, default="sim", help="how to reach the vehicle (default: %(default)s)")
     for name, link in links.items():
@@ -96,7 +100,9 @@ def session_of(options: argparse.Namespace, scenario: Scenario, limits: Limits, 
     ask = (link.origin == "real" or options.link == "crsf") and not options.arm
     if ask and not sys.stdin.isatty():
         raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
-    return Session(scenario, limits, link, output, options.link != "sim" or options.real_time, ask, options.force)
+    real_time = options.link != "sim" or options.real_time
+    tested = None if link.origin != "real" else not options.ignore_self_test
+    return Session(scenario, limits, link, output, real_time, ask, options.force, tested)
 
 
 def fly_simulated(scenario: Scenario, output: Path, force: bool) -> int:

@@ -386,7 +386,7 @@ QUICK = ("--set", "piloting.estimate=False", "--ros2-wait", 30, "--ros2-origin")
 @pytest.mark.realtime
 def test_a_real_vehicle_is_not_taken_for_a_simulated_one_and_no_topic_for_another(python, surroundings, tmp_path):
     with vehicle(python, surroundings):
-        real = fly(python, surroundings, *QUICK, "real", "--arm", "--output", tmp_path / "real")
+        real = fly(python, surroundings, *QUICK, "real", "--arm", "--ignore-self-test", "--output", tmp_path / "real")
         assert real.returncode == 2 and "/truth/state is published, as by simulators" in real.stderr
         lost = fly(
             python, surroundings, *QUICK, "simulated", "--ros2-mocap", "natnet", "--ros2-wait", 3,
