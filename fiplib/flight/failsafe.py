@@ -6,6 +6,7 @@ Simulated only: none of this has flown on a vehicle.
 """
 
 import math
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from fiplib.kalman import Window
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, X, Y
 from fiplib.pilot import Command, Pilot, Tick
-from fiplib.recording import Event, Measurement
+from fiplib.recording import Event, Measurement, nanoseconds
 
 NEXT = by_mode()
 
@@ -52,6 +53,8 @@ class Guard:
     """
 
     def __init__(self, pilot: Pilot, limits: Limits = Limits()) -> None:  # noqa: B008 - frozen
+        if not isinstance(pilot, Pilot) or not isinstance(limits, Limits):
+            raise ValueError(f"a Guard takes a Pilot and Limits, not {type(pilot).__name__}, {type(limits).__name__}")
         self.params, self.limits, self.pilot = pilot.params, limits, pilot
         self.mode = Mode.DISARMED
         self.transitions: list[Transition] = []
@@ -79,6 +82,7 @@ class Guard:
 
     def arm(self, now: int) -> None:
         """Arm: fly as soon as the arm checks pass."""
+        self._at(now)
         self._wanted = True
 
     def frame(self, now: int, measurement: Measurement) -> Setpoint | None:
@@ -128,9 +132,12 @@ class Guard:
 
     def solve_took(self, now: int, seconds: float) -> None:
         """Take how long the driver waited for the last setpoint that carries a command; judges whether it was late."""
+        now = self._at(now)
+        if not isinstance(seconds, Real) or not 0.0 <= seconds < math.inf:
+            raise ValueError(f"a solve takes so many seconds, 0 or more, not {seconds!r}")
         late = self.solver.took(seconds)
         if late and self.mode in (Mode.FLYING, Mode.COASTING):
-            now, reason = self._at(now), f"solve took {1e3 * seconds:.0f} ms"
+            reason = f"solve took {1e3 * seconds:.0f} ms"
             if late <= self.limits.safety.coast_ticks:
                 self._happens(now, Condition.SOLVE_FAILED, reason)
             else:
@@ -139,6 +146,8 @@ class Guard:
     def abort(self, now: int, reason: str, disarm: bool = False) -> Setpoint:
         """End the flight: level and descend, or disarm at once; returns what to send."""
         now = self._at(now)
+        if not isinstance(reason, str) or not reason:
+            raise ValueError(f"an abort has a reason, in words, not {reason!r}")
         self._happens(now, Condition.STOPPED if disarm or not self._armed else Condition.ABORTED, reason)
         return self.tick(now)
 
@@ -359,5 +368,5 @@ class Guard:
 
     def _at(self, now: int) -> int:
         """Time never runs backwards here, whatever a clock does."""
-        self._now = max(self._now, int(now))
+        self._now = max(self._now, nanoseconds(now))
         return self._now

@@ -15,13 +15,11 @@ from fiplib.dynamics import body_z_of
 from fiplib.flight.arming import angle_between
 from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
-from fiplib.recording import Measurement
+from fiplib.recording import Measurement, nanoseconds, numbers_of
 
 BODIES = ("vehicle", "pendulum")
 FARTHEST = 1000.0
 """No position lies further away than this, m: such a number is a driver's mark of a lost body, or an accident."""
-LATEST = 2**31 * NANO
-"""Stamps that a ROS message can carry end here, ns."""
 STAMPS = 24
 """Stamps looked back at when judging a clock: 0.1 s of frames."""
 DRIFT = 500
@@ -76,7 +74,7 @@ class PoseMonitor:
         values, self.refusal = self._numbers(measurement)
         if values is None:
             return None
-        stamp = int(measurement.stamp)
+        stamp = nanoseconds(measurement[0])
         raw, self._raw = self._raw, (stamp, values)
         if raw is not None:
             self.refusal = self._repeated(raw, stamp, values)
@@ -110,16 +108,15 @@ class PoseMonitor:
 
     def _numbers(self, measurement: Measurement) -> tuple[NDArray | None, str | None]:
         """The 14 numbers of a frame, or why they are no two poses."""
-        stamp, *parts = measurement
         try:
-            values = np.concatenate(parts, dtype=float)
-        except (TypeError, ValueError):
-            return None, "malformed frame"
-        if values.shape != (14,):
+            values = numbers_of(measurement)
+        except ValueError:
             return None, "malformed frame"
         if not np.isfinite(values).all():
             return None, "pose not finite"
-        if not isinstance(stamp, int | np.integer) or isinstance(stamp, bool) or not 0 <= stamp < LATEST:
+        try:
+            nanoseconds(measurement[0])
+        except ValueError:
             return None, "stamp out of range"
         for body, pose in zip(BODIES, (values[:7], values[7:]), strict=True):
             if np.abs(pose[:3]).max() > FARTHEST:

@@ -47,8 +47,9 @@ class Stream:
         spin = self._rng.normal(size=2) * 1e-3
         rod = 0.5 * np.array((math.sin(lean), 0.0, math.cos(lean)))
         at = np.array(at)
+        seat = at + PARAMS.piloting.seat_height * np.array((math.sin(tilt), 0.0, math.cos(tilt)))
         return Measurement(
-            self.now - LATENCY, at + noise[0], turned(tilt + spin[0]), at + rod + noise[1], turned(lean + spin[1])
+            self.now - LATENCY, at + noise[0], turned(tilt + spin[0]), seat + rod + noise[1], turned(lean + spin[1])
         )
 
     def feed(self, seconds: float, change: Callable[[Measurement], Measurement] | None = None, **pose: object) -> None:
@@ -238,7 +239,7 @@ def swapped(frame: Measurement) -> Measurement:
     ("change", "pose", "why"),
     [
         (lambda f: f._replace(pendulum_position=f.pendulum_position + 2.0), {}, "not placed: its COM is .* m from"),
-        (lambda f: f._replace(pendulum_position=f.vehicle_position), {}, "not placed: its COM is 0.00 m from"),
+        (lambda f: f._replace(pendulum_position=f.vehicle_position), {}, "not placed: its COM is 0.08 m from"),
         (swapped, {}, "pendulum below the vehicle: bodies swapped"),
         (lambda f: f._replace(pendulum_attitude=turned(1.0)), {}, "axis does not point|frozen"),
         (None, {"lean": 0.15}, "pendulum leans 9 deg"),

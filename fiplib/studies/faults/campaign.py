@@ -9,6 +9,7 @@ disturb; flights in virtual time take all cores.
 
 import argparse
 import csv
+import gc
 import multiprocessing
 import os
 from collections import Counter
@@ -46,6 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="which faults (default: all)")
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--output", type=Path, metavar="CSV", help="table to write (default: data/faults.csv)")
+    jobs = "processes for flights in virtual time (default: one per core)"
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help=jobs)
     parser.add_argument("--fresh", action="store_true", help="forget the rows that are on disk")
 
 
@@ -65,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     if options.names and options.output is None:
         raise ValueError("some faults alone go to a table of their own: give --output CSV")
     path = options.output or TABLE
-    fly({name: FAULTS[name] for name in options.names or FAULTS}, path, options.fresh)
+    fly({name: FAULTS[name] for name in options.names or FAULTS}, path, options.fresh, options.jobs)
     rows = rows_of(path)
     if options.output is None:
         PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), rows), encoding="utf-8")
@@ -76,24 +79,26 @@ def run(options: argparse.Namespace) -> int:
     return int(counts["NOT MET"] > 0)
 
 
-def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False) -> None:
+def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False, jobs: int = 1) -> None:
     """Fly the cases, faults by phases, of which the table has no row yet, and complete it."""
     journal = Journal(path, ["fault", "phase"], fresh)
     cases = [{"fault": name, "phase": phase} for name, fault in faults.items() for phase in fault.phases]
     left = [case for case in cases if journal.key(case) not in journal.rows]
     with tqdm(total=len(left), unit="case", disable=None) as bar:
-        for case, row in flown(faults, left):
+        for case, row in flown(faults, left, jobs):
             journal.append(case, row)
             bar.update()
     journal.complete(cases)
 
 
-def flown(faults: Mapping[str, Fault], cases: Sequence[dict[str, str]]) -> Iterator[tuple[dict[str, str], dict]]:
-    """Fly cases and yield each with its row: those in virtual time on all cores, then the others one by one."""
+def flown(
+    faults: Mapping[str, Fault], cases: Sequence[dict[str, str]], jobs: int
+) -> Iterator[tuple[dict[str, str], dict]]:
+    """Fly cases and yield each with its row: those in virtual time on so many cores, then the others one by one."""
     virtual = [case for case in cases if case["fault"] in VIRTUAL_FAULTS]
     if virtual:
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(os.cpu_count() or 1, len(virtual)), spawn) as pool:
+        with ProcessPoolExecutor(max(1, min(jobs, len(virtual))), spawn, gc.freeze) as pool:
             futures = {pool.submit(fly_virtual, **case): case for case in virtual}
             try:
                 for future in as_completed(futures):

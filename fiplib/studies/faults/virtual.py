@@ -34,14 +34,14 @@ from fiplib.studies.faults.perfect_information import NEVER, balances
 
 LIMITS = Limits()
 """Of the failsafe and the command sender, in every flight."""
-START = 3.0
+START = 2.0
 """Faults in flight begin at this time after take-off, s."""
 POSES = "the limit of 100 ms without poses"
 GONE = "the limit of 500 ms without poses"
-HOVER = Scenario("fault", "hover, pushed 3.5 s after the fault", 9.0, Hover(), (Push(START + 3.5, (0.004, 0.0)),))
+HOVER = Scenario("fault", "hover, pushed 3.2 s after the fault", 6.5, Hover(), (Push(START + 3.2, (0.004, 0.0)),))
 PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
-CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.5, ramp=2.0), pushes=(), description="circle of 0.8 m")
-SHORT = replace(HOVER, duration=5.0, pushes=(Push(3.5, (0.004, 0.0)),), description="hover, pushed after 3.5 s")
+CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.2, ramp=1.5), pushes=(), description="circle of 0.8 m")
+SHORT = replace(HOVER, duration=3.0, pushes=(Push(1.5, (0.004, 0.0)),), description="hover, pushed after 1.5 s")
 UNKNOWN = Params().replace(piloting__initial_length=1.2, piloting__estimate=True)
 ESTIMATED = Scenario("fault", "circle of 0.4 m, length estimated from 1.2 m", 10.0, Circle(0.4, 8.0), params=UNKNOWN)
 PRESCRIBED = replace(CIRCLE, params=Params().replace(estimation__median_length=1))
@@ -61,15 +61,14 @@ class Phase(NamedTuple):
 
 PHASES = {
     "arming": Phase(SHORT, (0.3,), grounded=True),
-    "take-off": Phase(SHORT, (0.02,)),
     "hover": Phase(HOVER, (START,)),
     "circle": Phase(CIRCLE, (START,)),
     # the rod falls between 0.5 and 2 s after it is given up, at the end of the scenario
-    "landing": Phase(replace(CIRCLE, duration=START), tuple(START + onset for onset in (0.1, 0.6, 1.0, 1.4))),
+    "landing": Phase(replace(CIRCLE, duration=1.0), (1.1, 1.8, 2.3)),
 }
 """The phases of a flight, in its order; the checks before arming take 0.5 s."""
 EVERYWHERE, AIRBORNE, HOVERING, CIRCLING = tuple(PHASES), ("hover", "circle"), ("hover",), ("circle",)
-PATIENT = 8.0
+PATIENT = 6.0
 """The operator waits so long for a vehicle to become ready, and then leaves it, s."""
 
 
