@@ -192,17 +192,20 @@ class Ros2Poses(PoseSource):
         origin: "simulated" or "real", as the operator says.
         patience: longest wait for the first frame, s.
         frame: the ``frame_id`` that poses must carry.
+
+    Attributes:
+        frames: those that have come and were not yet received, with their arrivals.
     """
 
     def __init__(
         self, topics: tuple[str, str], tolerance: float, origin: str, patience: float, frame: str = "world"
     ) -> None:
-        self.topics, self.origin, self._patience, self._frame = topics, origin, patience, frame
+        self.topics, self.origin, self._patience, self.frame = topics, origin, patience, frame
         self._publishers, self._elsewhere = (Publisher(), Publisher()), ""
         self._looked, self._said = 0, ""
         self.events: deque[Event] = deque()
         self._pairing = Pairing(round(tolerance * NANO))
-        self._frames: deque[tuple[int, Measurement]] = deque()
+        self.frames: deque[tuple[int, Measurement]] = deque()
         self._counts, self._paired = [0, 0], False
         self._offset = time.time_ns() - time.monotonic_ns()
         self._fault: str | None = None
@@ -252,7 +255,7 @@ class Ros2Poses(PoseSource):
         try:
             qos, kind = self.node.qos.qos_profile_sensor_data, self.node.geometry.PoseStamped
             for body, topic in enumerate(self.topics):
-                take = self._taking(body)
+                take = self.taking(body)
                 self.node.node.create_subscription(kind, topic, take, qos)
         except Exception as error:  # rclpy's: a topic's name may be no name
             self.node.close()
@@ -288,7 +291,7 @@ class Ros2Poses(PoseSource):
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
         end, left = time.monotonic() + timeout, max(0.0, timeout)
-        while not self._frames and left >= 0.0:
+        while not self.frames and left >= 0.0:
             try:
                 self.node.executor.spin_once(timeout_sec=left)
             except Exception as error:  # whatever rclpy raises
@@ -296,7 +299,7 @@ class Ros2Poses(PoseSource):
                 time.sleep(left)
                 return None
             left = end - time.monotonic()
-        return self._frames.popleft() if self._frames else None
+        return self.frames.popleft() if self.frames else None
 
     def fault(self) -> str | None:
         return self._fault
@@ -332,7 +335,7 @@ class Ros2Poses(PoseSource):
             (info.node_name, bytes(info.endpoint_gid)) for info in self.node.node.get_publishers_info_by_topic(topic)
         ]
 
-    def _taking(self, body: int) -> Callable[[Any, Any], None]:
+    def taking(self, body: int) -> Callable[[Any, Any], None]:
         """Return the callback of a subscription; with two arguments, it is given each message's publisher."""
 
         def take(message: Any, info: Any) -> None:
@@ -345,9 +348,9 @@ class Ros2Poses(PoseSource):
     def _take(self, body: int, message: Any) -> None:
         now, frame_id = self.now(), message.header.frame_id
         self._counts[body] += 1
-        if frame_id != self._frame:
+        if frame_id != self.frame:
             self._elsewhere = (
-                f"poses on {self.topics[body]} are given in the frame {frame_id!r}, not {self._frame!r} (--ros2-frame)"
+                f"poses on {self.topics[body]} are given in the frame {frame_id!r}, not {self.frame!r} (--ros2-frame)"
             )
             return
         self._elsewhere = ""
@@ -356,7 +359,7 @@ class Ros2Poses(PoseSource):
         frame = self._pairing.take(body, stamp.sec * NANO + stamp.nanosec, np.array(numbers))
         if frame is not None:
             self._paired = True
-            self._frames.append((now, frame))
+            self.frames.append((now, frame))
 
     def _has(self, topic: str) -> bool:
         return self.node.node.count_publishers(topic) > 0
