@@ -8,7 +8,7 @@ from fiplib.bags import arguments
 from fiplib.bags.checks import findings
 from fiplib.bags.convert import convert
 from fiplib.bags.cutting import cut
-from fiplib.bags.info import describe
+from fiplib.bags.info import inform
 from fiplib.bags.reader import read
 from fiplib.bags.recovery import recover
 from fiplib.bags.tables import export
@@ -45,12 +45,13 @@ def _read(options: argparse.Namespace) -> int:
         from fiplib.reproduction import length_figure
 
         length_figure.check_name(options.plot)  # before the work
-    flight = read(options.bag, **arguments.reading(options))
+    reading = arguments.reading(options)
     if options.command == "info":
-        print(describe(flight, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
+        print(inform(options.bag, reading, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
         return 0
     from fiplib.estimators.poses import history
 
+    flight = read(options.bag, **reading)
     if options.command == "export":
         if options.what == "states":
             flight = replace(flight, state=replay.states(flight))
