@@ -1,4 +1,4 @@
-"""Frames of motion capture: simulated from the plant's state, and turned into the states of the controller."""
+"""Frames of motion capture, simulated from the plant's state."""
 
 import math
 
@@ -61,32 +61,3 @@ def true_state(x: NDArray, radius: float, truth: NDArray) -> None:
     truth[4], truth[5], truth[6], truth[7] = radius * x[10], radius * x[13], radius * x[11], radius * x[14]
     truth[8], truth[9], _ = euler_angles(x, 6)
     truth[10] = x[2]
-
-
-@compiled("void(f8[::1], f8, f8, f8, f8[::1], f8[::1])")
-def observe(frame: NDArray, length: float, elapsed: float, cutoff: float, memory: NDArray, observed: NDArray) -> None:
-    """Write the states (10,), then height in m, climb rate in m/s and yaw in rad: ``pilot.Observer``.
-
-    Args:
-        frame: (14,), as ``expose`` writes it.
-        length: of the rod, if (a, b) are to be its direction times half the length; 0 for the position of its COM.
-        elapsed: since the last frame in s; at 0 and below velocities stay as they are.
-        cutoff: of the low-pass filter in Hz.
-        memory: last positions x, y, a, b, z and their filtered velocities, (10,); zeros at first.
-        observed: (13,).
-    """
-    phi, theta, psi = euler_angles(frame, 3)
-    a, b = frame[7] - frame[0], frame[8] - frame[1]
-    if length > 0.0:
-        x, y, z, w = frame[10], frame[11], frame[12], frame[13]
-        a, b = length * (x * z + w * y), length * (y * z - w * x)
-    share = 1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)
-    position = (frame[0], frame[1], a, b, frame[2])
-    for n in range(5):
-        if elapsed > 0.0:
-            memory[5 + n] += share * ((position[n] - memory[n]) / elapsed - memory[5 + n])
-        memory[n] = position[n]
-    for n in range(4):
-        observed[2 * n], observed[2 * n + 1] = memory[n], memory[5 + n]
-    observed[8], observed[9] = phi, theta
-    observed[10], observed[11], observed[12] = memory[4], memory[9], psi
