@@ -123,9 +123,11 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     """``dynamics.coupled_plant`` linearised about the upright hover, one axis: A (6, 6) and B (6, 1).
 
     The state is (s, s', d, d', tilt, rate), the input the commanded body rate. With r = l/2 and
-    kappa = (m + m_p) / (m + m_p (1 - lambda)), by how much the vehicle is lighter across the rod than along it:
+    kappa = (m + m_p) / (m + m_p (1 - lambda)), by how much the vehicle is lighter across the rod than along it, and
+    eta = m h / (m + m_p) of the seat's height h above the vehicle's centre of mass:
 
-        s'' = g (kappa tilt + (1 - kappa) d/r),   d'' = lambda kappa g (d/r - tilt),   rate' = (command - rate) / lag.
+        s'' = g (kappa tilt + (1 - kappa) d/r) + kappa eta rate',   rate' = (command - rate) / lag,
+        d'' = lambda kappa (g d/r - g tilt - eta rate').
     """
     m, m_p, r = params.vehicle.mass, params.pendulum.mass, params.pendulum.length / 2
     factor = params.pendulum.inertia_factor
@@ -135,6 +137,9 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     a[1, 4], a[1, 2] = GRAVITY * kappa, GRAVITY * (1 - kappa) / r
     a[3, 2], a[3, 4] = factor * kappa * GRAVITY / r, -factor * kappa * GRAVITY
     a[5, 5], b[5, 0] = -1 / params.simulation.rate_lag, 1 / params.simulation.rate_lag
+    seat = kappa * m * params.vehicle.seat_height / (m + m_p)
+    for row, share in ((1, seat), (3, -factor * seat)):
+        a[row, 5], b[row, 0] = share * a[5, 5], share * b[5, 0]
     return a, b
 
 
@@ -157,8 +162,11 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
     observer = observers.module(params).linear(params, used_length)
     given = 6 + len(observer.a)
     size = given + 1 + ticks
-    observe, tick = np.eye(size), np.eye(size)
-    observe[6:given, 6:given], observe[6:given, [0, 2, 4]] = observer.a, observer.b
+    observe, tick, measured = np.eye(size), np.eye(size), np.zeros((3, size))
+    measured[[0, 1, 1, 2], [0, 0, 2, 4]] = 1.0  # tracked points of vehicle and rod, tilt
+    measured[0, 4] = -params.seat_above_tracked
+    observe[6:given, 6:given] = observer.a
+    observe[6:given] += observer.b @ measured
     a, b = linear_plant(params)
     held = expm(np.block([[a, b], [np.zeros((1, 7))]]) / rates[0])
     for substep in range(frames * substeps):
@@ -171,6 +179,6 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
     # Between ticks the oldest command has done its work; the new one comes in as the input
     kept = np.delete(np.eye(size), given, axis=1)
     gain = (mpc or MPC(params)).prepare(used_length)[axis].gains[0]
-    sees = observer.c @ (observe @ kept)[6:given] + observer.d @ kept[[0, 2, 4]]
+    sees = observer.c @ (observe @ kept)[6:given] + observer.d @ measured @ kept
     open_loop = control.ss((tick @ kept)[:-1], tick[:-1, given : given + 1], gain[None] @ sees, 0.0, 1.0 / rates[2])
     return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)

@@ -76,7 +76,7 @@ def fly(
     while acting < given and acts[acting] < first * substeps:
         acting += 1
     for index in range(first, last):
-        expose(x, about[2], noise[index], frames[index])
+        expose(x, about[2], about[8], noise[index], frames[index])
         true_state(x, about[2], truths[index])
         observe(frames[index], length, elapsed[index], observer, memory, observed)
         tick = ticks[index]

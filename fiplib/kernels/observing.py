@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.kernels.compiling import compiled
-from fiplib.kernels.poses import euler_angles
+from fiplib.kernels.poses import along_z, euler_angles
 from fiplib.params import GRAVITY
 
 DIFFERENTIATE, KALMAN = 0.0, 1.0
 
-KIND, DIRECTION, CUTOFF, POSITION_NOISE, ATTITUDE_NOISE, THRUST, FORCE, SEAT = range(8)
+KIND, DIRECTION, SEAT, CUTOFF, POSITION_NOISE, ATTITUDE_NOISE, THRUST, FORCE = range(8)
 """Order of an observer's constants: which observer; whether (a, b) are the rod's direction times half the length; the
-low-pass filter's cut-off in Hz; standard deviations of positions in m and attitudes in rad; the densities of the
-specific thrust's random walk in m^2/s^5 and of specific forces in m^2/s^3; the seat's height in m."""
+seat's height above the vehicle's tracked point in m; the low-pass filter's cut-off in Hz; standard deviations of
+positions in m and attitudes in rad; the densities of the specific thrust's random walk in m^2/s^5 and of specific
+forces in m^2/s^3."""
 
 STATES = 6
 """States of the Kalman filter for an axis: p, p', u, u', o, o' (``model``)."""
@@ -133,6 +134,7 @@ def _update(row: tuple, values: tuple, variance: float, x: NDArray, p: NDArray) 
 def _filter(
     frame: NDArray,
     offset: tuple,
+    place: tuple,
     phi: float,
     theta: float,
     length: float,
@@ -150,9 +152,8 @@ def _filter(
     if memory[0] == 0.0 or elapsed > LONGEST_GAP:
         x[:], p[:] = 0.0, 0.0
         for axis in range(2):
-            x[axis, 0], x[axis, 2], x[axis, 4] = frame[axis], thrust[axis], offset[axis]
-            if about[DIRECTION] > 0.0:
-                x[axis, 4] += lever * thrust[axis]
+            x[axis, 0], x[axis, 2] = frame[axis], thrust[axis]
+            x[axis, 4] = offset[axis] + (place[axis] - frame[axis])
         # what a vehicle may do when it is first seen: 1 m/s, 0.3 rad/s, its rod 0.5 m/s
         p[0, 0], p[1, 1], p[2, 2] = across, 1.0, turned
         p[3, 3], p[4, 4], p[5, 5] = (0.3 * GRAVITY) ** 2, 2.0 * across + lever * lever * turned, 0.25
@@ -164,8 +165,9 @@ def _filter(
             _update((0.0, -lever, 1.0), offset, (length / 2.0 * about[ATTITUDE_NOISE]) ** 2, x, p)
         else:
             _update((1.0, 0.0, 1.0), (frame[7], frame[8]), across, x, p)
+    along = about[SEAT] / math.sqrt(GRAVITY * GRAVITY + x[0, 2] * x[0, 2] + x[1, 2] * x[1, 2])
     for axis in range(2):
-        tilt, turning = lever * x[axis, 2], lever * x[axis, 3]
+        tilt, turning = along * x[axis, 2], lever * x[axis, 3]
         observed[2 * axis], observed[2 * axis + 1] = x[axis, 0] + tilt, x[axis, 1] + turning
         observed[4 + 2 * axis], observed[5 + 2 * axis] = x[axis, 4] - tilt, x[axis, 5] - turning
     observed[8] = math.atan(-x[1, 2] / GRAVITY)
@@ -174,29 +176,33 @@ def _filter(
 
 @compiled("void(f8[::1], f8, f8, f8[::1], f8[::1], f8[::1])")
 def observe(frame: NDArray, length: float, elapsed: float, about: NDArray, memory: NDArray, observed: NDArray) -> None:
-    """Write the states (10,), then height in m, climb rate in m/s and yaw in rad.
+    """Write the states (10,), then height in m, climb rate in m/s and yaw in rad; positions are those of the seat.
 
     Args:
         frame: (14,), as ``poses.expose`` writes it.
         length: the one in use, m.
         elapsed: since the last frame in s; at 0 and below velocities stay as they are.
-        about: constants (8,), from ``KIND`` to ``SEAT``.
+        about: constants (8,), from ``KIND`` to ``FORCE``.
         memory: (``MEMORY``,); zeros at first.
         observed: (13,).
     """
     phi, theta, psi = euler_angles(frame, 3)
-    a, b = frame[7] - frame[0], frame[8] - frame[1]
+    place = (frame[0], frame[1], frame[2])
+    if about[SEAT] > 0.0:
+        above = along_z(frame, 3, about[SEAT])
+        place = (frame[0] + above[0], frame[1] + above[1], frame[2] + above[2])
+    a, b = frame[7] - place[0], frame[8] - place[1]
     if about[DIRECTION] > 0.0:
         x, y, z, w = frame[10], frame[11], frame[12], frame[13]
         a, b = length * (x * z + w * y), length * (y * z - w * x)
     share = 1.0 - math.exp(-2.0 * math.pi * about[CUTOFF] * elapsed)
     if elapsed > 0.0:
-        memory[2] += share * ((frame[2] - memory[1]) / elapsed - memory[2])
-    memory[1] = frame[2]
+        memory[2] += share * ((place[2] - memory[1]) / elapsed - memory[2])
+    memory[1] = place[2]
     observed[10], observed[11], observed[12] = memory[1], memory[2], psi
     if about[KIND] == KALMAN:
-        _filter(frame, (a, b), phi, theta, length, elapsed, about, memory, observed)
+        _filter(frame, (a, b), place, phi, theta, length, elapsed, about, memory, observed)
     else:
-        _differentiate((frame[0], frame[1], a, b), elapsed, share, memory, observed)
+        _differentiate((place[0], place[1], a, b), elapsed, share, memory, observed)
         observed[8], observed[9] = phi, theta
     memory[0] = 1.0

@@ -25,18 +25,32 @@ def _turned(q: tuple, noise: NDArray, first: int) -> tuple:
     return single(x / norm), single(y / norm), single(z / norm), single(w / norm)
 
 
-@compiled("void(f8[::1], f8, f8[::1], f8[::1])")
-def expose(x: NDArray, radius: float, noise: NDArray, frame: NDArray) -> None:
+@compiled()
+def along_z(q: NDArray, first: int, height: float) -> tuple:
+    """``height`` times the body's z axis of the quaternion at ``first``."""
+    x, y, z, w = q[first], q[first + 1], q[first + 2], q[first + 3]
+    return (
+        height * (2.0 * (x * z + w * y)),
+        height * (2.0 * (y * z - w * x)),
+        height * (1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@compiled("void(f8[::1], f8, f8, f8[::1], f8[::1])")
+def expose(x: NDArray, radius: float, seat: float, noise: NDArray, frame: NDArray) -> None:
     """Write a frame of motion capture (14,): position and attitude of the vehicle, then of the rod.
 
     Args:
         x: the plant's state.
         radius: half the rod's length in m.
+        seat: its height above the vehicle's tracked point in m.
         noise: of both positions in m, then of both attitudes in rad, (12,).
         frame: numbers that single precision can hold.
     """
+    below = along_z(x, 6, seat)
     for n in range(3):
-        frame[n] = single(x[n] + noise[n])
+        tracked = x[n] - below[n] if seat > 0.0 else x[n]
+        frame[n] = single(tracked + noise[n])
         frame[7 + n] = single(x[n] + radius * x[10 + n] + noise[3 + n])
     frame[3], frame[4], frame[5], frame[6] = _turned((x[6], x[7], x[8], x[9]), noise, 6)
     # shortest rotation that takes the z axis to the rod's direction

@@ -29,7 +29,7 @@ def module(params: Params) -> ModuleType:
 class LinearObserver(NamedTuple):
     """One axis of an observer at rest in its steady state, frame by frame: z+ = A z + B y, seen = C z+ + D y.
 
-    y is (position of the vehicle, offset of the rod, tilt), seen is (s, s', d, d', tilt).
+    y is (tracked point of the vehicle, tracked point of the rod, tilt), seen is (s, s', d, d', tilt).
     """
 
     a: NDArray
@@ -41,7 +41,9 @@ class LinearObserver(NamedTuple):
 class Observer:
     """Poses to states, frame by frame.
 
-    With ``pendulum_measurement = "direction"`` the offset (a, b) is the rod's direction times half the length in use.
+    Positions are those of the rod's seat, ``seat_height`` above the vehicle's tracked point along the body's z axis;
+    (a, b) lead from it to the rod's COM. With ``pendulum_measurement = "direction"`` they are the rod's direction times
+    half the length in use.
 
     Attributes:
         constants, memory: of ``kernels.observing.observe``.
@@ -56,8 +58,9 @@ class Observer:
             raise ValueError(f"pendulum_measurement must be 'position' or 'direction', not {kind!r}")
         from fiplib.kernels import observing
 
-        self.constants = np.zeros(observing.SEAT + 1)
+        self.constants = np.zeros(observing.FORCE + 1)
         self.constants[observing.DIRECTION] = kind == "direction"
+        self.constants[observing.SEAT] = params.piloting.seat_height
         self.constants[observing.CUTOFF] = params.piloting.velocity_cutoff
         module(params).describe(params, self.constants)
         self._observe, self.memory = observing.observe, np.zeros(observing.MEMORY)

@@ -17,11 +17,11 @@ def describe(params: Params, constants: NDArray) -> None:
 
 def linear(params: Params, length: float) -> LinearObserver:
     """Return one axis: z is (s, d, s', d')."""
-    rate = params.piloting.mocap_rate
+    rate, seat = params.piloting.mocap_rate, params.piloting.seat_height
     share = 1.0 - math.exp(-2.0 * math.pi * params.piloting.velocity_cutoff / rate)
     a, b, c, d = np.zeros((4, 4)), np.zeros((4, 3)), np.zeros((5, 4)), np.zeros((5, 3))
-    b[[0, 1], [0, 1]] = 1.0
-    a[[2, 3], [0, 1]], b[[2, 3], [0, 1]] = -share * rate, share * rate
+    b[:2] = (1.0, 0.0, seat), (-1.0, 1.0, -seat)
+    a[[2, 3], [0, 1]], b[2:] = -share * rate, share * rate * b[:2]
     a[[2, 3], [2, 3]] = 1.0 - share
     c[[0, 2, 1, 3], [0, 1, 2, 3]] = 1.0
     d[4, 2] = 1.0

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.kernels import observing
-from fiplib.observers import LinearObserver
+from fiplib.observers import LinearObserver, Observer
 from fiplib.params import GRAVITY, Params
 
 
@@ -34,22 +34,19 @@ def linear(params: Params, length: float) -> LinearObserver:
     """Return one axis with the gain in which the filter settles; z is (p, p', u, u', o, o') of ``observing.model``."""
     from scipy.linalg import solve_discrete_are  # longer to import than all of ours
 
-    constants = np.zeros(observing.SEAT + 1)
-    describe(params, constants)
+    constants = Observer(params).constants
     transition, noise = np.empty((2, observing.STATES, observing.STATES))
     observing.model(length, 1.0 / params.piloting.mocap_rate, constants, transition, noise)
     lever = constants[observing.SEAT] / GRAVITY
-    # rows of vehicle, tilt and rod; of the first and the last, position and offset are made
-    measured = np.zeros((3, observing.STATES))
-    measured[0, 0] = measured[1, 2] = measured[2, 0] = measured[2, 4] = 1.0
+    measured = np.zeros((3, observing.STATES))  # rows of vehicle, rod and tilt
+    measured[[0, 1, 1], [0, 0, 4]], measured[2, 2] = 1.0, 1.0 / GRAVITY
     position, attitude = constants[[observing.POSITION_NOISE, observing.ATTITUDE_NOISE]]
-    variances = np.diag(np.square([position, GRAVITY * attitude, position]))
+    variances = np.diag(np.square([position, position, attitude]))
     covariance = solve_discrete_are(transition.T, measured.T, noise, variances)
     gain = np.linalg.solve(measured @ covariance @ measured.T + variances, measured @ covariance).T
-    given = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, GRAVITY], [1.0, 1.0, 0.0]])
     seen = np.zeros((5, observing.STATES))
     seen[range(4), [0, 1, 4, 5]] = 1.0
     seen[[0, 2], 2] = seen[[1, 3], 3] = lever, -lever
     seen[4, 2] = 1.0 / GRAVITY
     kept = (np.eye(observing.STATES) - gain @ measured) @ transition
-    return LinearObserver(kept, gain @ given, seen, np.zeros((5, 3)))
+    return LinearObserver(kept, gain, seen, np.zeros((5, 3)))

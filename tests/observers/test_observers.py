@@ -49,7 +49,7 @@ def test_the_step_of_the_filter_is_the_exact_one_of_its_model(length, step):
     a, forces = np.zeros((6, 6)), np.zeros((6, 3))
     a[[0, 1, 2, 4], [1, 2, 3, 5]] = 1.0
     a[3, 3], a[5, 4] = -1 / observing.RATE_LAG, 2 * GRAVITY / length
-    a[5, 2] = -1.0 - 2 * about[observing.SEAT] / length
+    a[5, 2] = -1.0 - 2 * about[observing.SEAT] / length  # of both, 2 g / l times h / g
     np.testing.assert_allclose(transition, expm(a * step), rtol=1e-8, atol=1e-12)
     densities = about[observing.FORCE], about[observing.THRUST] / observing.RATE_LAG**2, about[observing.FORCE]
     forces[[1, 3, 5], [0, 1, 2]] = np.sqrt(densities)
@@ -64,8 +64,8 @@ def test_the_step_of_the_filter_is_the_exact_one_of_its_model(length, step):
     measured[0, 0] = measured[1, 2] = measured[2, 0] = measured[2, 4] = 1.0
     variances = np.diag(np.square([0.2e-3, GRAVITY * 1e-3, 0.2e-3]))
     settled = [solve_discrete_are(transition.T, measured.T, each, variances) for each in (noise, exact)]
-    # what that makes of the deviations of the states: nothing that is seen
-    np.testing.assert_allclose(*(np.sqrt(np.diag(each)) for each in settled), rtol=0.02)
+    # what that makes of the deviations of the states: 1 % at 240 Hz, 4 % at the longest step
+    np.testing.assert_allclose(*(np.sqrt(np.diag(each)) for each in settled), rtol=0.05)
 
 
 def test_the_covariance_settles_where_the_library_says():
@@ -87,7 +87,7 @@ def test_the_covariance_settles_where_the_library_says():
 def test_the_linear_observer_is_the_compiled_one(name):
     params = Params().replace(piloting__observer=name)
     linear, observer = observers.module(params).linear(params, 1.0), Observer(params)
-    rng, z = np.random.default_rng(5), np.zeros(0)
+    rng = np.random.default_rng(5)
     given = np.cumsum(1e-5 * rng.normal(size=(700, 3)), axis=0)
     given[:300] = 0.0
     z, followed, states = np.zeros(len(linear.a)), [], []
@@ -95,8 +95,9 @@ def test_the_linear_observer_is_the_compiled_one(name):
         q = Rotation.from_euler("y", tilt).as_quat()
         rod = np.array([place + offset, 0, 0.5])
         states.append(observer.update(Measurement(index * FRAME, np.array([place, 0, 0]), q, rod, q), 1.0)[0])
-        z = linear.a @ z + linear.b @ (place, offset, tilt)
-        followed.append(linear.c @ z + linear.d @ (place, offset, tilt))
+        measured = place, place + offset, tilt
+        z = linear.a @ z + linear.b @ measured
+        followed.append(linear.c @ z + linear.d @ measured)
     states, followed = np.array(states)[:, list(AXES[0].states)], np.array(followed)
     # after 300 frames at rest the covariance is steady to 1e-4; angles are of 1e-4 rad, and their tangents too
     assert (np.abs(states - followed).max(axis=0) < 1e-3 * np.abs(followed).max(axis=0)).all()
@@ -133,7 +134,8 @@ def test_an_old_stamp_changes_nothing_and_a_long_gap_begins_anew():
     late = measurements[200]._replace(stamp=measurements[199].stamp + 30 * NANO)
     fresh, _ = Observer(KALMAN).update(late, 1.0)
     np.testing.assert_array_equal(observer.update(late, 1.0)[0], fresh)
-    assert fresh[X] == late.vehicle_position[0] and (fresh[VELOCITIES] == 0.0).all()
+    # of the first frame both observers make the same, without velocities
+    np.testing.assert_allclose(fresh, seen([late], Params())[0], atol=1e-12)
 
 
 def test_a_gap_of_half_a_second_is_bridged_without_a_jump_to_infinity():
