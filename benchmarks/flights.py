@@ -272,7 +272,7 @@ def measure(quick: bool) -> list[Row]:
 
 def batch(duration: float, seeds: list[int]) -> list[Row]:
     """All flights in one compiled batch, beside one by one."""
-    from fiplib.batch import fly_many
+    from fiplib.studies.batch import fly_many
 
     scenarios = [scenario(duration, seed) for seed in seeds]
 

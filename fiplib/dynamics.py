@@ -187,6 +187,17 @@ def body_z_of(q: ArrayLike) -> NDArray:
     return np.array(z_axis(*(float(value) for value in q)))
 
 
+def seat_position(position: NDArray, orientation: NDArray, height: float) -> NDArray:
+    """Return where the rod's seat is, (..., 3) in m, ``height`` m above a vehicle's tracked point along its body z.
+
+    ``position`` (..., 3) in m and ``orientation`` (..., 4), a quaternion (x, y, z, w), are the vehicle's.
+    """
+    if height == 0.0:
+        return position
+    axis = np.stack(z_axis(*np.moveaxis(orientation, -1, 0)), axis=-1)
+    return position + height * axis
+
+
 def inclination(direction: ArrayLike) -> float:
     """Return the angle of a direction (3,) from the vertical, rad."""
     x, y, z = (float(value) for value in direction)

@@ -37,6 +37,9 @@ PRODUCTS = {
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
     "fig14-growth": Product("fiplib.studies.benchmarks:fig14_growth", benchmarks=("growth",)),
+    "fig15-identifiability": Product(
+        "fiplib.studies.identifiability:fig15_identifiability", bags=("push-hover", "circle-0.8")
+    ),
     "fig16-observers": Product("fiplib.studies.observers:fig16_observers", studies=("observers",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),

@@ -239,7 +239,7 @@ def raw_windows(
     """
     command = _commands(flight, seconds)
     last = np.searchsorted(flight.time(command), end, side="right")
-    sampler, found, given = RawSampler(seconds), [], 0
+    sampler, found, given = RawSampler(seconds, flight.params.piloting.seat_height), [], 0
     for now, measurement in measurements(flight):
         if not start <= (measurement.stamp - flight.start_ns) / NANO <= end:
             continue

@@ -88,7 +88,7 @@ class Plant:
     def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
         from fiplib.kernels import poses, vehicle
 
-        simulation = params.simulation
+        simulation, self._about = params.simulation, vehicle.plant_constants(params)
         self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
         self._radius = params.pendulum.length / 2
         self.x = np.zeros(20)
@@ -106,7 +106,6 @@ class Plant:
         """Substeps after which a command acts."""
         self._schedule = np.zeros((self.substeps, 4))
         self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
-        self._about = vehicle.plant_constants(params)
 
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.

@@ -24,7 +24,6 @@ LEVELS = [
     {"estimators", "controllers"},
     {"pilot"},
     {"simulate", "replay"},
-    {"batch"},
     {"reproduction", "flight"},
     {"studies", "teaching"},
     {"bag"},

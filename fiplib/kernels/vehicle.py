@@ -18,10 +18,29 @@ def plant_constants(params: Params) -> NDArray:
     They are the masses of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, the lags of rates
     and thrust and the plant's step in s, and the height of the seat above the vehicle's centre of mass and above the
     point that motion capture tracks, m.
+
+    Raises:
+        ValueError: parameters that contradict each other: the plant cannot be integrated, or its rod does not stand.
     """
     vehicle, pendulum, simulation = params.vehicle, params.pendulum, params.simulation
     masses, lags = (vehicle.mass, pendulum.mass), (simulation.rate_lag, simulation.thrust_lag)
     rod, seats = (pendulum.length / 2, pendulum.inertia_factor), (vehicle.seat_height, params.seat_above_tracked)
+    frames = simulation.plant_rate / params.piloting.mocap_rate
+    if not math.isclose(frames, max(1, round(frames)), rel_tol=1e-9):
+        raise ValueError(
+            "simulation.plant_rate must be a whole multiple of piloting.mocap_rate, not "
+            f"{simulation.plant_rate:g} and {params.piloting.mocap_rate:g} Hz"
+        )
+    if min(lags) * simulation.plant_rate < 0.4:  # RK4 is stable for steps up to 2.78 lags
+        raise ValueError(
+            "simulation.rate_lag and thrust_lag must be at least 0.4 / simulation.plant_rate = "
+            f"{0.4 / simulation.plant_rate:.3g} s, not {lags[0]:g} and {lags[1]:g} s"
+        )
+    if simulation.initial_lean > pendulum.length / 12:  # six standard deviations are half the rod
+        raise ValueError(
+            "simulation.initial_lean must be at most pendulum.length / 12 = "
+            f"{pendulum.length / 12:.3g} m, not {simulation.initial_lean:g} m"
+        )
     return np.array((*masses, *rod, *lags, 1.0 / simulation.plant_rate, *seats))
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.dynamics import z_axis
 from fiplib.estimators.cramer_rao import cramer_rao, motion
@@ -30,6 +29,7 @@ from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origi
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import SCENARIOS, Scenario
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 
 KEYS = ("flight", "observer", "length", "seed")
 """``flight`` is a name in ``FLIGHTS``, ``observer`` one in ``OBSERVED``; ``length`` is the one in use, m."""

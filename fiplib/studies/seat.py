@@ -1,0 +1,99 @@
+"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
+
+A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
+which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
+the frame itself, as in the paper's model, is the standard of comparison. Every case flies with the same ``SEEDS``.
+``growth_rate`` and ``gain_high`` are those of the linear loop (``controllers.margins``). About 4 minutes of one core.
+"""
+
+import math
+
+import numpy as np
+from scipy.stats import binomtest
+
+from fiplib.controllers import margins
+from fiplib.params import A, B, Params, X, Y
+from fiplib.pilot import Circle, Hover
+from fiplib.recording import Flight
+from fiplib.reproduction.measures import rms
+from fiplib.simulate import Push, Scenario
+from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
+
+KEYS = ("motion", "length", "seat", "stated")
+"""``motion`` is a name in ``MOTIONS``; all others are in m."""
+
+LENGTHS = (0.4, 0.7, 1.0, 1.5)
+SEAT = 0.08
+STATED = (0.0, 0.04, 0.06, 0.08, 0.10, 0.12)
+"""What the pilot takes for the seat's height, m; 0: it does not know of a seat."""
+
+SEEDS = range(20)
+
+SECONDS = 20.0
+SETTLED = 8.0
+"""Seconds of a flight after which it is on its trajectory: from there on errors are taken."""
+
+PUSHES = (Push(5.3, (0.008, 0.0)), Push(10.0, (0.0, 0.007)), Push(15.0, (-0.005, 0.005)))
+MOTIONS = {
+    "hover": Scenario("hover with pushes", "", SECONDS, Hover(), pushes=PUSHES),
+    "circle": Scenario("circle", "", SECONDS, Circle(radius=0.4, period=8.0)),
+}
+
+
+def cases() -> list[dict]:
+    """Every stated height with every rod in both motions, and the seat at the frame, which the pilot knows."""
+    seats = [(0.0, 0.0), *((SEAT, stated) for stated in STATED)]
+    found = [(motion, length, *heights) for motion in MOTIONS for length in LENGTHS for heights in seats]
+    return [dict(zip(KEYS, values, strict=True)) for values in found]
+
+
+def run(case: dict) -> dict[str, float | int | str]:
+    """Fly one case with every seed.
+
+    Returns:
+        flown, how many flights, and survived, how many of them stay up; seconds, the median time to the fall or the
+        end; of those up, from ``SETTLED`` on: error, rms distance of the seat from its reference, largest_lean, |a| or
+        |b| at most, both the median over the flights in m, and rate, rms body rate commanded, rad/s (nan if none is
+        up); growth_rate in 1/s and gain_high of the linear loop.
+    """
+    params = Params().replace(
+        pendulum__length=case["length"],
+        piloting__initial_length=case["length"],
+        vehicle__seat_height=case["seat"],
+        piloting__seat_height=case["stated"],
+    )
+    motion = MOTIONS[case["motion"]]
+    scenarios = [Scenario(motion.name, "", SECONDS, motion.reference, motion.pushes, (), params, s) for s in SEEDS]
+    flights = list(fly_many(scenarios))
+    up = [flight for flight in flights if flight.survived]
+    loop = margins.closed_loop(case["length"], params)
+    return {
+        "flown": len(flights),
+        "survived": len(up),
+        "seconds": float(np.median([seconds_flown(*pair) for pair in zip(flights, scenarios, strict=True)])),
+        "error": _median([_error(flight, motion) for flight in up]),
+        "largest_lean": _median([float(np.abs(flight.truth_state.values[:, [A, B]]).max()) for flight in up]),
+        "rate": _median([rms(flight.command.values[:, :2]) for flight in up]),
+        "growth_rate": loop.growth_rate,
+        "gain_high": loop.margins.gain_high,
+    }
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else math.nan
+
+
+def _error(flight: Flight, motion: Scenario) -> float:
+    """The rms distance, in m, of the true seat from its reference once the flight has settled."""
+    times = flight.time(flight.truth_state)
+    settled = times >= SETTLED
+    away = flight.truth_state.values[settled][:, [X, Y]] - motion.reference.at(times[settled])[:, [X, Y]]
+    return rms(np.hypot(*away.T))
+
+
+def survival(row: dict) -> tuple[float, float, float]:
+    """Return the share of a row's flights that stay up, and its exact (Clopper-Pearson) 95 % interval."""
+    found = binomtest(int(row["survived"]), int(row["flown"]))
+    interval = found.proportion_ci(0.95, method="exact")
+    return found.statistic, interval.low, interval.high
