@@ -9,6 +9,7 @@ found: docs/studies.md. 1200 rows, about 6 minutes of one core.
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -52,6 +53,10 @@ SETTLED, SECONDS, WINDOWS = 5.0, 2.5, 4
 """Hover and circle are judged from ``SETTLED`` s on, in so many windows of ``SECONDS``."""
 
 
+ESTIMATED, KNOWN = ("answered", "deviation", "length_error"), ("", "_seat")
+"""Columns of the pose estimator, and the endings of their names: the seat's height is not known, or it is."""
+
+
 def cases() -> list[dict]:
     """Hover and circle with the true length in use, pushes with every length, for every observer and seed."""
     flights = [("hover", TRUE_LENGTH), ("circle", TRUE_LENGTH), *(("pushes", length) for length in LENGTHS)]
@@ -67,8 +72,9 @@ def run(case: dict) -> dict[str, float | int | str]:
     Returns:
         survived (1 or 0); flown (s until a fall); lean (largest |a| or |b|, m); delay_margin (s), gain_low, gain_high
         of ``margins``; and, nan for pushes: rate (RMS of the two commanded body rates, deg/s), error (RMS distance from
-        the reference, m), bound (m, RMS over windows), answered (windows with a length), deviation (m, stated, RMS over
-        these) and length_error (m, RMS over these).
+        the reference, m), bound (m, RMS over windows); and of the pose estimator, once without the height of the seat
+        and once with it (``_seat``): answered (windows with a length), deviation (m, stated, RMS over these) and
+        length_error (m, RMS over these).
     """
     pushed = case["flight"] == "pushes"
     params = Params().replace(
@@ -98,31 +104,36 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 def _quiet(flight: Flight | None) -> dict[str, float]:
     """The columns of hover and circle; nan of another flight."""
-    columns = "rate", "error", "bound", "answered", "deviation", "length_error"
     if flight is None:
-        return dict.fromkeys(columns, math.nan)
+        names = "rate", "error", "bound", *(f"{name}{kind}" for kind in KNOWN for name in ESTIMATED)
+        return dict.fromkeys(names, math.nan)
     rates = np.degrees(flight.command.values[flight.time(flight.command) > SETTLED, :2])
     off = (flight.state.values - flight.reference.values)[flight.time(flight.state) > SETTLED]
-    bounds, answers = [], []
-    bodies = [
-        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
-        for body in (flight.vehicle, flight.pendulum)
-    ]
+    known, bodies = Knowledge.of_flight(flight), bodies_of(flight)
+    knowledge = dict(zip(KNOWN, (replace(known, seat_height=Knowledge().seat_height), known), strict=True))
+    bounds, answers = [], {kind: [] for kind in KNOWN}
     for window in range(WINDOWS):
         start = SETTLED + window * SECONDS
         first, last = (flight.start_ns + round(at * NANO) for at in (start, start + SECONDS))
         bounds.append(cramer_rao(motion(flight, first, last), flight.params, (CALIBRATION,))[-1])
         parts = [body.part((body.time >= start) & (body.time < start + SECONDS)) for body in bodies]
-        answers.append(estimate(*parts, Knowledge.of_flight(flight)))
-    given = [answer for answer in answers if answer.reason is None]
-    return {
-        "rate": _rms(rates),
-        "error": _rms(np.hypot(off[:, X], off[:, Y])),
-        "bound": _rms(bounds),
-        "answered": len(given),
-        "deviation": _rms([answer.standard_deviation for answer in given]),
-        "length_error": _rms([answer.length - TRUE_LENGTH for answer in given]),
-    }
+        for kind in KNOWN:
+            answers[kind].append(estimate(*parts, knowledge[kind]))
+    columns = {"rate": _rms(rates), "error": _rms(np.hypot(off[:, X], off[:, Y])), "bound": _rms(bounds)}
+    for kind, found in answers.items():
+        given = [answer for answer in found if answer.reason is None]
+        deviation = _rms([answer.standard_deviation for answer in given])
+        values = len(given), deviation, _rms([answer.length - TRUE_LENGTH for answer in given])
+        columns |= {f"{name}{kind}": value for name, value in zip(ESTIMATED, values, strict=True)}
+    return columns
+
+
+def bodies_of(flight: Flight) -> list[Body]:
+    """Return vehicle and rod of a flight, as the pose estimator takes them."""
+    return [
+        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
+        for body in (flight.vehicle, flight.pendulum)
+    ]
 
 
 def _rms(values: list | np.ndarray) -> float:
@@ -199,13 +210,13 @@ def table13_observers(rows: Rows) -> Table:
         cells += [number(1e3 * loop["delay_margin"], 0), f"{loop['gain_low']:.2f}--{loop['gain_high']:.2f}"]
         lengths = surviving(rows, observer)
         cells += [number(100 * lean, 1), f"{lengths[0]:.1f}--{lengths[-1]:.1f}" if lengths else NONE]
-        for column in ("bound", "deviation"):
+        for column in ("bound", "deviation", "deviation_seat"):
             cells += [number(1e3 * mean(rows, flight, observer, column)[0], 1) for flight in quiet]
         lines.append(tuple(cells))
     header = (
         "Observer", "Rates, hover (deg/s)", "circle (deg/s)", "Error, hover (mm)", "circle (mm)", "Delay margin (ms)",
         "Gain margins", "Lean, pushed (cm)", "Lengths that survive (m)", "Bound, hover (mm)", "circle (mm)",
-        "Poses alone, hover (mm)", "circle (mm)",
+        "Poses alone, hover (mm)", "circle (mm)", "Seat known, hover (mm)", "circle (mm)",
     )  # fmt: skip
     return Table(header, lines, "l" + "r" * (len(header) - 1))
 

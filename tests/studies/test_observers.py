@@ -9,6 +9,7 @@ from fiplib.studies import observers as study
 ROW = {
     "survived": 1, "flown": 26.0, "lean": 0.05, "delay_margin": 0.06, "gain_low": 0.5, "gain_high": 2.5, "rate": 7.0,
     "error": 0.004, "bound": 0.05, "answered": 4, "deviation": 0.017, "length_error": 0.02,
+    "answered_seat": 4, "deviation_seat": 0.005, "length_error_seat": 0.004,
 }  # fmt: skip
 
 
