@@ -49,10 +49,11 @@ TRUE_LENGTH = 1.0
 LENGTHS = tuple(tenths / 10 for tenths in range(4, 17))
 SEEDS = range(20)
 
-SETTLED, SECONDS, WINDOWS = 5.0, 2.5, 4
+SETTLED, SECONDS, WINDOWS = 5.0, 2.5, 2
 """Hover and circle are judged from ``SETTLED`` s on, in so many windows of ``SECONDS``."""
 
 
+LINEAR = ("delay_margin", "gain_low", "gain_high")
 ESTIMATED, KNOWN = ("answered", "deviation", "length_error"), ("", "_seat")
 """Columns of the pose estimator, and the endings of their names: the seat's height is not known, or it is."""
 
@@ -70,10 +71,10 @@ def run(case: dict) -> dict[str, float | int | str]:
     """Fly one case.
 
     Returns:
-        survived (1 or 0); flown (s until a fall); lean (largest |a| or |b|, m); delay_margin (s), gain_low, gain_high
-        of ``margins``; and, nan for pushes: rate (RMS of the two commanded body rates, deg/s), error (RMS distance from
-        the reference, m), bound (m, RMS over windows); and of the pose estimator, once without the height of the seat
-        and once with it (``_seat``): answered (windows with a length), deviation (m, stated, RMS over these) and
+        survived (1 or 0); flown (s until a fall); lean (largest |a| or |b|, m). And, nan for pushes: delay_margin (s),
+        gain_low, gain_high of ``margins``; rate (RMS of the two commanded body rates, deg/s), error (RMS distance from
+        the reference, m), bound (m, RMS over windows); of the pose estimator, once without the height of the seat and
+        once with it (``_seat``), answered (windows with a length), deviation (m, stated, RMS over these) and
         length_error (m, RMS over these).
     """
     pushed = case["flight"] == "pushes"
@@ -90,14 +91,10 @@ def run(case: dict) -> dict[str, float | int | str]:
         seed=50_000 + int(case["seed"]),
     )
     [flight] = fly_many([scenario])
-    found = margins.closed_loop(case["length"], params).margins
     return {
         "survived": int(flight.survived),
         "flown": seconds_flown(flight, scenario),
         "lean": float(np.abs(flight.truth_state.values[:, [A, B]]).max()),
-        "delay_margin": found.delay,
-        "gain_low": found.gain_low,
-        "gain_high": found.gain_high,
         **_quiet(flight if flight.survived and not pushed else None),
     }
 
@@ -105,7 +102,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 def _quiet(flight: Flight | None) -> dict[str, float]:
     """The columns of hover and circle; nan of another flight."""
     if flight is None:
-        names = "rate", "error", "bound", *(f"{name}{kind}" for kind in KNOWN for name in ESTIMATED)
+        names = *LINEAR, "rate", "error", "bound", *(f"{name}{kind}" for kind in KNOWN for name in ESTIMATED)
         return dict.fromkeys(names, math.nan)
     rates = np.degrees(flight.command.values[flight.time(flight.command) > SETTLED, :2])
     off = (flight.state.values - flight.reference.values)[flight.time(flight.state) > SETTLED]
@@ -119,9 +116,11 @@ def _quiet(flight: Flight | None) -> dict[str, float]:
         parts = [body.part((body.time >= start) & (body.time < start + SECONDS)) for body in bodies]
         for kind in KNOWN:
             answers[kind].append(estimate(*parts, knowledge[kind]))
-    columns = {"rate": _rms(rates), "error": _rms(np.hypot(off[:, X], off[:, Y])), "bound": _rms(bounds)}
-    for kind, found in answers.items():
-        given = [answer for answer in found if answer.reason is None]
+    found = margins.closed_loop(TRUE_LENGTH, flight.params).margins
+    columns = dict(zip(LINEAR, (found.delay, found.gain_low, found.gain_high), strict=True))
+    columns |= {"rate": _rms(rates), "error": _rms(np.hypot(off[:, X], off[:, Y])), "bound": _rms(bounds)}
+    for kind, ones in answers.items():
+        given = [answer for answer in ones if answer.reason is None]
         deviation = _rms([answer.standard_deviation for answer in given])
         values = len(given), deviation, _rms([answer.length - TRUE_LENGTH for answer in given])
         columns |= {f"{name}{kind}": value for name, value in zip(ESTIMATED, values, strict=True)}

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 from scipy.spatial.transform import Rotation
 
-from fiplib import observers
+from fiplib import observers, replay
 from fiplib.controllers import margins
 from fiplib.kernels import observing
 from fiplib.observers import OBSERVERS, Observer
@@ -194,6 +194,22 @@ def test_hover_needs_a_third_of_the_rate_commands():
         late = flight.command.values[flight.time(flight.command) > 3.0, :2]
         rates.append(math.degrees(np.sqrt(np.mean(late**2))))
     assert rates[0] > 15.0 and rates[1] < rates[0] / 3
+
+
+@pytest.mark.parametrize("measurement", ["position", "direction"])
+def test_a_flight_is_replayed_to_the_bit(measurement):
+    params = KALMAN.replace(piloting__pendulum_measurement=measurement, estimation__median_length=1)
+    flight = fly(Scenario("", "", 2.0, Hover(), told_lengths=((0.7, 0.8), (1.2, 1.1)), params=params))
+    assert set(np.unique(flight.length.values[:, 0])) == {0.8, 1.0, 1.1}
+    np.testing.assert_array_equal(replay.commands(flight).values, flight.command.values)
+    np.testing.assert_array_equal(replay.commands(flight).stamp, flight.command.stamp)
+
+
+def test_states_derived_from_a_recording_are_those_that_were_flown():
+    flight = fly(dataclasses.replace(HANGING, duration=1.0))
+    derived = replay.states(dataclasses.replace(flight, state=None))
+    flown = np.searchsorted(derived.stamp, flight.state.stamp)
+    np.testing.assert_array_equal(derived.values[flown], flight.state.values)
 
 
 def test_margins_know_both_observers():

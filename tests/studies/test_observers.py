@@ -30,10 +30,10 @@ def test_a_case_says_what_became_of_it(flight, monkeypatch):
     row = study.run({"flight": flight, "observer": "Kalman", "length": 1.0, "seed": 3})
     assert set(row) == set(ROW) and row["survived"] == 1
     assert 0.04 < row["lean"] < 0.07 if flight == "pushes" else row["lean"] < 0.02
-    assert 0.04 < row["delay_margin"] < 0.1 and row["gain_low"] < 1.0 < row["gain_high"]
     if flight == "pushes":
         assert math.isnan(row["rate"]) and math.isnan(row["bound"])
     else:
+        assert 0.04 < row["delay_margin"] < 0.1 and row["gain_low"] < 1.0 < row["gain_high"]
         assert 3.0 < row["rate"] < 12.0 and row["answered"] == 1 and 0.0 < row["deviation"] < 0.05
 
 
