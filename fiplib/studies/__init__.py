@@ -34,13 +34,14 @@ STUDIES = {
     "estimators": "fiplib.studies.estimators",
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
+    "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "observers")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

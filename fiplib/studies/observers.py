@@ -4,7 +4,7 @@ A case is one simulated flight of the default vehicle and rod under one observer
 with the rod's length in use, "pushes" in hover with the pushes of the scenario ``push-hover`` and another ``length`` in
 use. Beside what becomes of the flight, a row has the margins of the linear loop and, of hover and circle, what windows
 of ``SECONDS`` say of the length: the Cramer-Rao bound, and the pose estimator's stated deviation and error. What was
-found: docs/studies.md. 1200 rows, about 6 minutes of one core.
+found: docs/studies.md. 1200 rows, about 4 minutes of one core.
 """
 
 import itertools
@@ -168,8 +168,8 @@ def surviving(rows: Rows, observer: str) -> list[float]:
 COLOURS = dict(zip(OBSERVED, ((ORANGE, "o"), (BLUE, "s"), (GREEN, "^"), (PURPLE, "v")), strict=True))
 
 
-def fig16_observers(rows: Rows) -> Figure:
-    """Fig. 16: who survives pushes with a wrong length, and what calm commands cost the length in 2.5 s."""
+def fig18_observers(rows: Rows) -> Figure:
+    """Fig. 18: who survives pushes with a wrong length, and what calm commands cost the length in 2.5 s."""
     figure = Figure(figsize=(COLUMN, 4.1), layout="constrained")
     panels = figure.subplot_mosaic([["up", "up"], ["bound", "deviation"]])
     above = panels["up"]
@@ -187,9 +187,7 @@ def fig16_observers(rows: Rows) -> Figure:
     above.legend(loc="lower left")
     for column, title in (("bound", "bound, commands known"), ("deviation", "stated, poses alone")):
         axes = panels[column]
-        axes.set(
-            xscale="log", yscale="log", xlabel="RMS rate command (deg/s)", title=title, xlim=(2.4, 40), ylim=(2, 100)
-        )
+        axes.set(xscale="log", yscale="log", xlabel="RMS rates (deg/s)", title=title, xlim=(2.4, 40), ylim=(2, 150))
         for axis, ticks in ((axes.xaxis, (3, 6, 12, 25)), (axes.yaxis, (2, 5, 10, 20, 50, 100))):
             axis.set_ticks(ticks, [f"{tick}" for tick in ticks])
         axes.minorticks_off()
@@ -198,8 +196,8 @@ def fig16_observers(rows: Rows) -> Figure:
     return figure
 
 
-def table13_observers(rows: Rows) -> Table:
-    """Table 13: the observers: commands, errors, margins, pushes, and what is left to tell the length."""
+def table15_observers(rows: Rows) -> Table:
+    """Table 15: the observers: commands, errors, margins, pushes, and what is left to tell the length."""
     lines, quiet = [], ("hover", "circle")
     for observer in OBSERVED:
         cells = [observer]

@@ -50,7 +50,7 @@ def test_a_length_counts_as_survived_when_most_flights_surely_survive():
 
 
 def test_the_table_has_a_line_for_each_observer_and_facts_name_both():
-    table, facts = study.table13_observers(rows()), study.facts(rows())
+    table, facts = study.table15_observers(rows()), study.facts(rows())
     assert [line[0] for line in table.rows] == list(study.OBSERVED)
     assert all(len(line) == len(table.header) == len(table.alignment) for line in table.rows)
     assert table.rows[0][1] == "7.0" and table.rows[0][8] == "0.4--1.3"
