@@ -279,6 +279,10 @@ NEIGHBOURS = {
         rod(lambda body: body.later(0.02)), "clocks", "20 ms late", True, {"stamps": "log"}
     ),
     "rod-20ms-late": Case(rod(lambda body: body.later(0.02, 0.02)), "clocks", "20 ms late", True),
+    "first-stamp-zero": Case(
+        both(lambda body: body._replace(stamp=np.where(np.arange(len(body.stamp)) > 0, body.stamp, 0))), "tracking",
+        "is used alone",
+    ),
     "vehicle-without-stamps": Case(
         vehicle(lambda body: body._replace(stamp=0 * body.stamp)), "clocks", "4 ms early", True, {"stamps": "log"}
     ),
