@@ -245,7 +245,7 @@ NEIGHBOURS = {
         "up axis", "--up y --swap", True, {"up": "y", "swap": True},
     ),
     "frame-tilted-5-deg": Case(both(seen("x", 5))),
-    "frame-tilted-20-deg": Case(both(seen("x", 20)), "estimator", "leans by 21 deg", True),
+    "frame-tilted-20-deg": Case(both(seen("x", 20)), "estimator", "leans by 20 deg on average", True),
     "left-handed": Case(
         both(lambda body: body._replace(position=body.position * [1, -1, 1])), "attitude", "left-handed", True
     ),
