@@ -52,7 +52,7 @@ book: .venv/installed ## make the book: notebooks with their results, and the li
 	@$(PY) docs/book.py
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
-	cd data && $(SHA256) $(foreach name,$(BAGS),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
+	$(PY) -m fiplib.reproduction.stored $(foreach name,$(BAGS),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
 
 # The maximum-likelihood estimator solves its least squares by LAPACK: the seventh digit of its lengths depends on which
 # kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
@@ -146,7 +146,6 @@ data/sweeps/%.csv:
 data/%:
 	@echo "$@ is missing. Bags come with the repository; 'make bags' flies and records them again." >&2; exit 1
 
-SHA256 = $(shell command -v sha256sum || echo shasum -a 256)
 
 # --- paper. A fixed date makes the PDF depend on its sources alone. latexmk decides by content, make by time: the touch
 # reconciles them.

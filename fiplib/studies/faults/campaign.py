@@ -7,13 +7,13 @@ stopped at any time, the same command goes on from there.
 """
 
 import argparse
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tqdm import tqdm
 
+from fiplib.reproduction import stored
 from fiplib.studies.faults.judging import Fault
 from fiplib.studies.faults.processes import PROCESS_FAULTS
 from fiplib.studies.faults.virtual import VIRTUAL_FAULTS
@@ -82,9 +82,8 @@ def fly(faults: Mapping[str, Fault], path: Path, fresh: bool = False) -> None:
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a finished table."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    """Return the rows of a finished table. Raises JournalError if it is damaged."""
+    return stored.rows(path, "fip faults --fresh")
 
 
 def counted(rows: Sequence[Mapping[str, str]]) -> Counter[str]:
