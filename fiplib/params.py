@@ -87,7 +87,7 @@ class Vehicle:
 
     mass: float = quantity(0.569, "kg", "paper, Table 1")
     max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
-    seat_height: float = quantity(0.08, "m", "paper, section 3: recess above the frame; drawn, not modelled")
+    seat_height: float = quantity(0.08, "m", "paper, section 3: of the rod's seat above the frame; 0: at it", zero=True)
     max_thrust: float = quantity(32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); scales thrust")
     wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
     propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
@@ -159,7 +159,7 @@ class Estimation:
     process_noise: tuple[float, ...] = quantity(
         (1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-4, 1e-4),
         "unit^2",
-        "our choice: diagonal of Q_e per 0.1 s; the one-step error of the model on true states of a simulated flight",
+        "our choice: diagonal of Q_e per 0.1 s; the model's one-step error in a simulated flight without a raised seat",
         zero=True,
     )
     measurement_noise: tuple[float, ...] = quantity(
@@ -189,6 +189,10 @@ class Piloting:
         0.4, "1", "measured: trusted: least used / believed; 0.2 falls (the study survival)"
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
+    seat_height: float = quantity(
+        0.08, "m", "paper, section 3: what the pilot takes the seat to be above the tracked vehicle point", zero=True
+    )
+    seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     altitude_gains: tuple[float, float, float] = quantity(
@@ -210,6 +214,7 @@ class Simulation:
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
     estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
+    vehicle_origin: str = quantity("frame", "-", "our choice: tracked point: 'frame', below the seat, or 'seat'")
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
@@ -285,6 +290,14 @@ class Params(Groups):
     estimation: Estimation = Estimation()
     piloting: Piloting = Piloting()
     simulation: Simulation = Simulation()
+
+    @property
+    def seat_above_tracked(self) -> float:
+        """Height of the seat above the point that motion capture reports as the vehicle, m: the simulator's truth."""
+        origin = self.simulation.vehicle_origin
+        if origin not in ("frame", "seat"):
+            raise ValueError(f"simulation.vehicle_origin must be 'frame' or 'seat', not {origin!r}")
+        return self.vehicle.seat_height if origin == "frame" else 0.0
 
 
 def _parsed(value: Any) -> Any:
