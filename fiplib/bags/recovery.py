@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import get_qos
-from ruamel.yaml import YAML
 
+from fiplib.bags import guards
 from fiplib.bags.mcap import Gap, Remains
 from fiplib.bags.messages import SIDECAR, definitions, genuine, unpacked
 from fiplib.bags.writer import close_bag, open_bag
@@ -120,8 +120,7 @@ def intact_messages(source: Path) -> int:
 
 
 def _files(source: Path) -> list[Path]:
-    if not source.exists():
-        raise BagError(f"{source}: no such file or directory")
+    guards.recording(source)
     files = [source] if source.is_file() else sorted(source.glob("*.mcap"))
     if not files:
         raise BagError(f"{source}: nothing to recover: there is no .mcap file in it")
@@ -207,9 +206,9 @@ def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
     folder = source if source.is_dir() else source.parent
     places: list[Callable[[], Any]] = [functools.partial(getattr, rest, "entries") for rest in remains]
     if source.is_dir() or source.stem == folder.name:
-        yaml = YAML(typ="safe")
-        places.insert(0, lambda: yaml.load(folder / "metadata.yaml")["rosbag2_bagfile_information"]["custom_data"])
-        places.append(lambda: yaml.load(folder / SIDECAR))
+        known = "rosbag2_bagfile_information"
+        places.insert(0, lambda: guards.words(folder / "metadata.yaml")[known]["custom_data"])
+        places.append(lambda: guards.words(folder / SIDECAR))
     for place in places:
         with suppress(Exception):  # whatever YAML and JSON raise where the file is absent or damaged
             if (entries := place()) and genuine(entries):

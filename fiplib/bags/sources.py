@@ -4,12 +4,11 @@ Messages come in blocks, a chunk of the file at a time: what a bag needs in memo
 """
 
 import shlex
-import shutil
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
-from pathlib import Path, PurePath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
@@ -18,8 +17,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-from ruamel.yaml import YAML
 
+from fiplib.bags import guards
 from fiplib.bags.mcap import File, chunk_at, embedded_metadata, places
 from fiplib.bags.messages import ZSTD, unpacked, zstd
 from fiplib.recording import BagError
@@ -110,12 +109,11 @@ def opened(path: Path) -> Iterator[Source]:
 
 def _information(path: Path) -> Mapping[str, Any]:
     """What metadata.yaml says; empty if there is none."""
-    if not path.exists():
-        raise BagError(f"{path}: no such file or directory")
+    guards.recording(path)
     file = path / "metadata.yaml"
     if path.is_file() or not file.exists():
         return {}
-    return dict(YAML(typ="safe").load(file.read_text())["rosbag2_bagfile_information"])
+    return dict(guards.words(file)["rosbag2_bagfile_information"])
 
 
 def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
@@ -126,7 +124,7 @@ def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
         if path.suffix not in (".mcap", ".db3", ".zst", ".zstd") and not _magic(path):
             raise BagError(f"{path}: not a bag; give the bag's directory or its .mcap file")
         return [path]
-    files = [path / PurePath(name).name for name in information.get("relative_file_paths", ())]
+    files = [guards.inside(path, name) for name in information.get("relative_file_paths", ())]
     if not files or not all(file.is_file() for file in files):  # no metadata, or files that were renamed since
         files = sorted(file for pattern in _FILES for file in path.glob(pattern) if file.is_file())
     if not files:
@@ -162,7 +160,7 @@ def _whole(file: Path, stack: ExitStack) -> Path:
         return file
     target = Path(stack.enter_context(TemporaryDirectory())) / file.stem
     with zstd.open(file, "rb") as packed, target.open("wb") as plain:
-        shutil.copyfileobj(packed, plain, 1 << 20)
+        guards.copied(packed, plain, file.stat().st_size)
     return target
 
 
