@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test notebooks lab book bags sweep bench paper latex lint clean
+.PHONY: help figures test fuzz notebooks lab book bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -41,6 +41,11 @@ figures: $(FIGURE_FILES) $(CLAIM_FILES) ## make every figure and table of the pa
 test: .venv/installed ## run the tests, and the notebooks with small settings, on every core
 	@FIP_FAST=1 $(PY) -m pytest -n auto --dist loadgroup -m "not realtime" --nbmake notebooks tests; status=$$?; \
 	    $(PY) -m pytest -m realtime tests && exit $$status
+
+# Seconds of each fuzzer, and its seed: make fuzz FIP_FUZZ_SECONDS=600 FIP_FUZZ_SEED=7. In make test each takes 20 s.
+fuzz: .venv/installed ## damage bags and misuse the command line for an hour; each failure prints how to repeat it
+	@seconds=$${FIP_FUZZ_SECONDS:-1800}; seed=$${FIP_FUZZ_SEED:-$$(date +%s)}; echo "seed $$seed"; \
+	    FIP_FUZZ_SECONDS=$$seconds FIP_FUZZ_SEED=$$seed $(PY) -m pytest -n 2 -m fuzz tests
 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
@@ -80,6 +85,10 @@ lint: .venv/installed ## check style, format and stripped notebooks
 	$(PY) -m ruff format --check .
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
 
+audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
+	@for lock in requirements.lock benchmarks/requirements.lock; do \
+	    .venv-audit/bin/pip-audit --disable-pip --require-hashes --requirement $$lock || exit 1; done
+
 clean: ## remove what was made; data/ and .venv stay
 	rm -rf .make figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
@@ -108,6 +117,12 @@ clean: ## remove what was made; data/ and .venv stay
 
 .venv-bench/installed: .venv-bench/locked pyproject.toml
 	.venv-bench/bin/python -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# The auditor is no part of what it audits: it gets an environment of its own, and the newest version of itself.
+.venv-audit/installed:
+	$(PYTHON) -m venv --clear .venv-audit
+	.venv-audit/bin/python -m pip install --disable-pip-version-check --quiet pip-audit
 	@touch $@
 
 # --- figures, tables, claims. One process draws all that is out of date: a product whose files are missing or which has a
