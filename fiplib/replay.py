@@ -14,6 +14,7 @@ import numpy as np
 import scipy  # its parts are imported when they are first used
 
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
 from fiplib.estimators.poses.knowledge import Knowledge, Told
@@ -62,7 +63,7 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
             f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
             f"{least:.1f} s: record a longer flight, or take a shorter window."
         )
-    return None
+    return why_no_length(flight, commands=True)
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
@@ -238,7 +239,7 @@ def raw_windows(
     """
     command = _commands(flight, seconds)
     last = np.searchsorted(flight.time(command), end, side="right")
-    sampler, found, given = RawSampler(seconds), [], 0
+    sampler, found, given = RawSampler(seconds, flight.params.piloting.seat_height), [], 0
     for now, measurement in measurements(flight):
         if not start <= (measurement.stamp - flight.start_ns) / NANO <= end:
             continue

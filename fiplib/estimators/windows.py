@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import euler_angles
+from fiplib.dynamics import euler_angles, seat_position
 from fiplib.kalman import Window
 from fiplib.params import NANO, Params
 from fiplib.recording import Measurement
@@ -26,7 +26,7 @@ class RawWindow:
 
     Attributes:
         time: exposure of each frame, (n,).
-        vehicle: position of the vehicle, (n, 3), m.
+        vehicle: position of the rod's seat, (n, 3), m.
         pendulum: position of the pendulum's COM, (n, 3), m.
         attitude: roll, pitch, yaw of R = Rx Ry Rz, (n, 3), rad.
         command_time: when each command was given (not when it acts), (m,); starts before the first frame.
@@ -69,10 +69,13 @@ class RawWindow:
 
 
 class RawSampler:
-    """Keeps the last ``seconds`` of frames, and the commands that belong to them."""
+    """Keeps the last ``seconds`` of frames, and the commands that belong to them.
 
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
+    The seat lies ``seat_height`` m above the vehicle's tracked point.
+    """
+
+    def __init__(self, seconds: float, seat_height: float) -> None:
+        self.seconds, self._seat_height = seconds, seat_height
         self._span = round(seconds * NANO)
         self._frames: deque[tuple[int, NDArray]] = deque()
         self._commands: deque[tuple[int, NDArray]] = deque()
@@ -83,7 +86,8 @@ class RawSampler:
         if self._frames and stamp <= self._frames[-1][0]:
             return
         attitude = euler_angles(measurement.vehicle_attitude)
-        row = np.concatenate([measurement.vehicle_position, measurement.pendulum_position, attitude])
+        seat = seat_position(measurement.vehicle_position, measurement.vehicle_attitude, self._seat_height)
+        row = np.concatenate([seat, measurement.pendulum_position, attitude])
         self._frames.append((stamp, row))
         while stamp - self._frames[0][0] > self._span:
             self._frames.popleft()
@@ -170,7 +174,7 @@ class RawSchedule(RawSampler):
     """
 
     def __init__(self, params: Params) -> None:
-        super().__init__(params.estimation.raw_window)
+        super().__init__(params.estimation.raw_window, params.piloting.seat_height)
         self._period = params.estimation.run_period
         self._least = params.estimation.first_raw_window if params.piloting.handover == "trusted" else math.inf
         self._slack = 0.5 / params.piloting.mocap_rate
