@@ -97,7 +97,9 @@ def test_every_subcommand_has_its_calls_here():
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")
-@pytest.mark.parametrize("name", [name for name in ANSWERS if name != "firmware"])  # argparse swallows its help's errors
+@pytest.mark.parametrize(
+    "name", [name for name in ANSWERS if name != "firmware"]
+)  # argparse swallows its help's errors
 def test_a_full_output_is_one_line(name):
     done = shell(">/dev/full", *ANSWERS[name])
     expected = "fip: nowhere" if name == "claims" else "fip: the output cannot be written"
