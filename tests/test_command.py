@@ -63,6 +63,8 @@ def test_help_names_every_command_and_each_has_its_own():
         (("claims", "--data", "nowhere"), "nowhere"),
         (("sweep", "nonsense"), "nonsense"),
         (("dance",), "dance"),
+        (("bag", "info", "a\nb\x1b[31m"), "a b [31m: no such file"),
+        (("bag", "info", ".", "a\nb\x1b[31m"), "arguments: a b [31m"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(arguments, words):

@@ -71,7 +71,7 @@ def line(rng: random.Random) -> list[str]:
     # what would work for minutes or hours is not asked for, but refused before it begins
     if name in ("sweep", "faults", "firmware", "figures", "claims", "fly") and "--list" not in words:
         refused = {"claims": ["--data", "nowhere"], "fly": "--scenario push-hover --duration 1e-4 --link sim".split()}
-        words += refused.get(name, ["nonsense"])
+        words += refused.get(name, ["nonsense", "nonsense"])  # one may be taken by an option
     return [word.replace("\0", "") for word in words]
 
 
@@ -97,8 +97,8 @@ def test_a_command_line_is_answered_or_refused_in_one_line(tmp_path, monkeypatch
         assert "Traceback" not in said and len(said) < 20_000, (words, said)
         if status == 2:
             assert out.getvalue() == "", (words, out.getvalue())
-            last = said.strip().splitlines()[-1]
-            assert last.startswith("fip") and len(last) < 12_000, (words, said)
+            last = said.splitlines()[-1]
+            assert (last.startswith("fip") and last.isprintable()) or "\udcff" in last, (words, said)
         return f"{words}: {status}"
 
     tried(check, "tests/fuzz/test_commands.py")
