@@ -104,7 +104,7 @@ def lines(stream: TextIO) -> Iterator[str]:
 def copied(packed: io.BufferedIOBase, target: io.BufferedIOBase, size: int) -> None:
     """Unpack a stream into a file, up to the bounds for a packed ``size``. Raises ValueError beyond them."""
     left = max(RATIO * size, ROOM)
-    while block := packed.read(1 << 20):
+    while block := packed.read1(1 << 20):
         left -= len(block)
         if left < 0:
             raise ValueError(f"compressed data that unpack to more than {max(RATIO * size, ROOM) >> 20} MB")
