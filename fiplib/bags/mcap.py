@@ -37,6 +37,7 @@ _SUMMARY = (3, 4, 8, 10, 11, 13, 14)
 _DAMAGE = 0  # no opcode of MCAP: stands for bytes that are no record
 # Opcode and length of a message, a chunk or a metadata record; lengths from 2^40 on are none.
 _HEAD = re.compile(rb"(?=[\x05\x06\x0c].{5}\x00{3})", re.DOTALL)
+_OPCODES = (b"\x05", b"\x06", b"\x0c")
 _WINDOW = 1 << 20  # bytes in which they are looked for at once
 _AHEAD = 1 << 16  # bytes that are read at once where little is asked for
 _LARGEST = guards.UNPACKED  # a length beyond is damage

@@ -15,7 +15,7 @@ from fiplib.studies.faults import campaign
 from fiplib.studies.journal import Journal
 
 DATA = Path(__file__).parents[2] / "data"
-TABLES = [*(f"sweeps/{name}.csv" for name in studies.STUDIES), "faults.csv"]
+TABLES = [*sorted(f"sweeps/{path.name}" for path in (DATA / "sweeps").glob("*.csv")), "faults.csv"]
 
 
 def mutations(content: bytes, rng: random.Random) -> dict[str, bytes]:
