@@ -41,16 +41,17 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    _usable_streams()
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
 
 
 def guarded(task: Callable[[], int]) -> int:
     """Run a task; return its exit status, or that of what ended it, after one line on stderr.
 
-    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, a closed pipe 141 in silence.
+    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, SIGTERM 143 and a closed pipe
+    141 in silence. To be called in the main thread.
     """
+    _usable_streams()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     try:
         status = task()
         sys.stdout.flush()

@@ -45,6 +45,11 @@ def information_of(path: Path) -> Mapping[str, Any]:
     return dict(guards.words(file)["rosbag2_bagfile_information"])
 
 
+def named_files(information: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files that metadata.yaml names, without folders: no name leads out of the bag."""
+    return [PurePath(name).name for name in information.get("relative_file_paths") or ()]
+
+
 def files_of(path: Path, information: Mapping[str, Any], missing: list[str] | None = None) -> list[Path]:
     """Return the files of a recording, and none of another one in the same folder.
 
@@ -64,7 +69,7 @@ def files_of(path: Path, information: Mapping[str, Any], missing: list[str] | No
             name_what_it_is(path)
         return [path]
     present = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES and file.is_file())
-    names = [PurePath(name).name for name in information.get("relative_file_paths") or ()]
+    names = named_files(information)
     named = [next((file for file in present if _plain(file.name) == _plain(name)), None) for name in names]
     if files := [guards.inside(path, file.name) for file in named if file]:
         if gone := [name for name, file in zip(names, named, strict=True) if file is None]:

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiplib import bags, replay
+from fiplib import bags
 from fiplib.bags import guards
 from fiplib.bags.info import describe
 from fiplib.bags.messages import zstd
+from fiplib.estimators.poses.estimate import length_of
+from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.params import NANO
 from fiplib.recording import BagError
 from tests.fuzz.budget import tried
@@ -119,7 +121,7 @@ def treated(path: Path, output: Path) -> str:
         assert np.isfinite(flight.vehicle.position).all() and (np.diff(flight.vehicle.stamp) > 0).all()
         describe(flight)
         said.append("read")
-        replay.length_from_poses(flight)
+        length_of(flight, Knowledge.of_flight(flight))
     except BagError as error:
         refused(error, path)
         said.append("refused")
