@@ -43,7 +43,7 @@ test: .venv/installed ## run the tests, and the notebooks with small settings, o
 	    $(PY) -m pytest -m realtime tests && exit $$status
 
 # Seconds of each fuzzer, and its seed: make fuzz FIP_FUZZ_SECONDS=600 FIP_FUZZ_SEED=7. In make test each takes 20 s.
-fuzz: .venv/installed ## damage bags and misuse the command line for an hour; each failure prints how to repeat it
+fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each failure prints how to repeat it
 	@seconds=$${FIP_FUZZ_SECONDS:-1800}; seed=$${FIP_FUZZ_SEED:-$$(date +%s)}; echo "seed $$seed"; \
 	    FIP_FUZZ_SECONDS=$$seconds FIP_FUZZ_SEED=$$seed $(PY) -m pytest -n 2 -m fuzz tests
 

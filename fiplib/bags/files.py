@@ -179,7 +179,7 @@ def plain(file: Path, stack: ExitStack, damaged: bool = False) -> Path:
     target = Path(stack.enter_context(TemporaryDirectory())) / file.stem
     with zstd.open(file, "rb") as packed, target.open("wb") as content:
         try:
-            guards.copied(packed, content, file.stat().st_size)
+            guards.copied(packed, content, file)
         except (zstd.ZstdError, EOFError):
             if not damaged:
                 raise

@@ -101,13 +101,13 @@ def lines(stream: TextIO) -> Iterator[str]:
         yield line
 
 
-def copied(packed: io.BufferedIOBase, target: io.BufferedIOBase, size: int) -> None:
-    """Unpack a stream into a file, up to the bounds for a packed ``size``. Raises ValueError beyond them."""
-    left = max(RATIO * size, ROOM)
+def copied(packed: io.BufferedIOBase, target: io.BufferedIOBase, source: Path) -> None:
+    """Unpack a stream, that of the file ``source``, into another. Raises BagError if that makes it too large."""
+    most = left = max(RATIO * source.stat().st_size, ROOM)
     while block := packed.read1(1 << 20):
         left -= len(block)
         if left < 0:
-            raise ValueError(f"compressed data that unpack to more than {max(RATIO * size, ROOM) >> 20} MB")
+            raise BagError(f"{source}: compressed data that unpack to more than {most >> 20} MB: no recording")
         target.write(block)
 
 

@@ -125,7 +125,7 @@ def test_paths_in_the_metadata_are_never_followed_out_of_the_bag(bag, tmp_path):
     outside = shutil.move(bag / "push-hover.mcap", tmp_path / "outside.mcap")
     for name in ("../outside.mcap", str(outside), "sub/../../outside.mcap"):
         (bag / "metadata.yaml").write_text(yaml.replace("push-hover.mcap", name))
-        with pytest.raises(BagError, match=r"neither metadata.yaml nor exactly one"):
+        with pytest.raises(BagError, match=r"no \.mcap and no \.db3 file is in it"):
             bags.read(bag)
     (bag / "metadata.yaml").write_text(yaml)
     (bag / "push-hover.mcap").symlink_to(outside)
