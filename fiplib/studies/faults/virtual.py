@@ -153,7 +153,7 @@ class VirtualFault(Fault):
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
         landing = link.phase == "landing"
         level = judging.tilt_of(stopped) < judging.LEVEL
-        level = level and tilt < (judging.DANGER if landing else LIMITS.safety.max_tilt)
+        level = level and tilt < (judging.DANGER if landing else judging.ON_ITS_SIDE)
         verdict = judging.judge(safe, balanced, level, perfect, gaps, self.demanded)
         if landing:
             low = stopped[10] - judging.SEAT < judging.LOW
