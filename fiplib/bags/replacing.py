@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Self
 
-from fiplib.bags.sources import named_files
+from fiplib.bags.files import information_of, named_files
 from fiplib.recording import BagError
 
 
@@ -66,7 +66,7 @@ def is_finished_bag(path: Path) -> bool:
     if path.is_symlink() or not path.is_dir():
         return False
     try:
-        named = named_files(path)
+        named = named_files(information_of(path))
     except Exception:  # whatever YAML raises where metadata.yaml is damaged, or is none
         return False
     entries = list(path.iterdir())

@@ -9,6 +9,7 @@ the frame itself, as in the paper's model, is the standard of comparison. Every 
 import math
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from fiplib.controllers import margins
@@ -16,6 +17,9 @@ from fiplib.params import A, B, Params, X, Y
 from fiplib.pilot import Circle, Hover
 from fiplib.recording import Flight
 from fiplib.reproduction.measures import rms
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
+from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Push, Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.batch import fly_many
@@ -97,3 +101,88 @@ def survival(row: dict) -> tuple[float, float, float]:
     found = binomtest(int(row["survived"]), int(row["flown"]))
     interval = found.proportion_ci(0.95, method="exact")
     return found.statistic, interval.low, interval.high
+
+
+COLOURS = dict(zip(LENGTHS, (ORANGE, PURPLE, BLUE, GREEN), strict=True))
+PLACE = -3.0
+"""Where a figure puts the seat at the frame, beside the stated heights in cm."""
+
+
+def fig17_seat(rows: Rows) -> Figure:
+    """Fig. 17: rods on a seat 8 cm above the tracked frame: who stays up, and how well, by the stated height."""
+    figure = Figure(figsize=(COLUMN, 4.2), layout="constrained")
+    panels = figure.subplots(3, 2, sharex=True, sharey="row")
+    for axes, motion in zip(panels[0], MOTIONS, strict=True):
+        axes.set_title(MOTIONS[motion].name)
+    for column, motion in zip(panels.T, MOTIONS, strict=True):
+        for shift, length in enumerate(LENGTHS):
+            some = [row for row in rows if row["motion"] == motion and row["length"] == length]
+            raised = sorted((row for row in some if row["seat"] > 0), key=lambda row: row["stated"])
+            frame = [row for row in some if row["seat"] == 0]
+            for at, style in ((raised, "o-"), (frame, "s")):
+                x = [0.25 * (shift - 1.5) + (100 * row["stated"] if row["seat"] else PLACE) for row in at]
+                look = {"ms": 2.5, "lw": 0.7, "color": COLOURS[length], "mfc": "white" if style == "s" else None}
+                share, low, high = np.array([survival(row) for row in at]).T
+                label = f"$l$ = {length:g} m" if style == "o-" else None
+                column[0].errorbar(
+                    x, share, (share - low, high - share), fmt=style, elinewidth=0.5, label=label, **look
+                )
+                column[1].plot(x, [100 * row["error"] for row in at], style, **look)
+                column[2].plot(x, [np.degrees(row["rate"]) for row in at], style, **look)
+        for axes in column:
+            axes.axvline(100 * SEAT, color=GREY, lw=0.5, ls=":")
+        column[2].set(
+            xticks=(PLACE, 0, 4, 8, 12),
+            xticklabels=("none", "0", "4", "8", "12"),
+            xlim=(-4, 13),
+            xlabel="stated seat (cm)",
+        )
+    for axes, label in zip(panels[:, 0], ("share that stays up", "rms error (cm)", "rms rate (deg/s)"), strict=True):
+        axes.set(ylabel=label, ylim=(0, None))
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    origin(figure, f"{len(SEEDS)} simulated flights each; dotted: true; none: seat at the frame")
+    return figure
+
+
+def table14_seat(rows: Rows) -> Table:
+    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands."""
+    lines = []
+    for length in LENGTHS:
+        for seat, stated in ((0.0, 0.0), *((SEAT, stated) for stated in STATED)):
+            cells = [f"{length:g}", f"{100 * seat:g}", f"{100 * stated:g}"]
+            at = {
+                row["motion"]: row
+                for row in rows
+                if (row["length"], row["seat"], row["stated"]) == (length, seat, stated)
+            }
+            for motion in MOTIONS:
+                row = at[motion]
+                _, low, high = survival(row)
+                cells.append(f"{row['survived']:.0f} ({100 * low:.0f} to {100 * high:.0f})")
+                for name, factor in (("error", 100.0), ("largest_lean", 100.0), ("rate", math.degrees(1.0))):
+                    cells.append(f"{factor * row[name]:.1f}" if math.isfinite(row[name]) else NONE)
+            cells.append(f"{row['gain_high']:.2f}" if row["growth_rate"] < 0 else NONE)
+            lines.append(tuple(cells))
+    each = tuple(
+        f"{motion}: {what}"
+        for motion in ("Pushes", "Circle")
+        for what in (f"up of {len(SEEDS)} (95\\,\\%)", "error (cm)", "lean (cm)", "rate (deg/s)")
+    )
+    header = ("$l$ (m)", "Seat (cm)", "Stated (cm)", *each, "Gain margin")
+    return Table(header, lines, "rrr" + "rrrr" * len(MOTIONS) + "r")
+
+
+def _row(rows: Rows, *case: str | float) -> dict:
+    """The row of a case, given in the order of ``KEYS``."""
+    return next(row for row in rows if tuple(row[key] for key in KEYS) == case)
+
+
+def facts(rows: Rows) -> Facts:
+    """Return what the report states: survival and seconds flown by rod, seat known and not, over both motions."""
+    found: Facts = {}
+    for length, word in zip(LENGTHS, ("shortest", "short", "middle", "longest"), strict=True):
+        for stated, knowledge in ((SEAT, "known"), (0.0, "unknown")):
+            some = [_row(rows, motion, length, SEAT, stated) for motion in MOTIONS]
+            found[word, knowledge, "up"] = f"{sum(int(row['survived']) for row in some)}"
+            found[word, knowledge, "seconds"] = f"{min(row['seconds'] for row in some):.1f}"
+    return found | {("flights",): f"{len(MOTIONS) * len(SEEDS)}"}

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fiplib import studies
-from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, weights
+from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, poses, seat, weights
 from fiplib.studies.imperfections import IMPERFECTIONS
 
 
@@ -112,5 +112,53 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
     assert ("all", "maximum_likelihood_calibrated", "rms") not in found
 
 
+def pose_rows() -> list[dict]:
+    """Two flights a condition: both answered; where something wrong is stated, both refused."""
+    none = {"n": 0, "refused": 4} | dict.fromkeys(("bias", "rms", "worst", "covered", "sd", "bound"), math.nan)
+    rows = []
+    for name, condition in poses.CONDITIONS.items():
+        for seed, (covered, bias) in enumerate([(4, 0.001), (3, -0.003)]):
+            given = {"n": 4, "refused": 0, "bias": bias, "rms": 0.006, "covered": covered, "sd": 0.005}
+            row = none if condition.group == "wrong" else given | {"bound": 0.005 if condition.bound else math.nan}
+            rows.append({"condition": name, "seed": seed} | row)
+    return rows
+
+
+def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share():
+    rows = pose_rows()
+    lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
+    assert len(lines) == len(poses.CONDITIONS)
+    # of two flights the bootstrap draws either twice in half of all draws
+    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["noise doubled"][-1] == "--"
+    assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
+    found = poses.facts(rows)
+    assert found["ratio",] == "1.20" and found["covered",] == "88"
+    assert found["wrong", "refused"] == "100" and found["untold", "least"] == "88"
+    assert ("wrong", "least") not in found
+
+
+def test_every_condition_of_the_pose_estimator_is_drawn_with_its_share():
+    figure = poses.fig16_coverage(pose_rows())
+    left, right = figure.axes
+    assert [text.get_text() for text in left.get_yticklabels()] == list(poses.CONDITIONS)
+    widths = [bar.get_width() for bar in right.patches]
+    assert widths == [100.0 if one.group == "wrong" else 0.0 for one in poses.CONDITIONS.values()]
+
+
 def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
     assert studies.facts(tmp_path) == {}
+
+
+def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
+    result = {"flown": 20.0, "seconds": 20.0, "error": 0.05, "largest_lean": 0.02, "rate": 0.5}
+    margins = {"growth_rate": -1.0, "gain_high": 2.0}
+    rows = [{**case, **result, **margins, "survived": 20.0 if case["stated"] else 0.0} for case in seat.cases()]
+    # all of 20: the lower limit p of the exact interval has p^20 = 2.5 %
+    assert seat.survival(rows[1]) == (0.0, 0.0, pytest.approx(1 - 0.025 ** (1 / 20)))
+    table = seat.table14_seat(rows)
+    assert len(table.rows) == len(seat.LENGTHS) * (1 + len(seat.STATED))
+    assert table.rows[1][:4] == ("0.4", "8", "0", "0 (0 to 17)") and table.rows[2][3] == "20 (83 to 100)"
+    found = seat.facts(rows)
+    assert found["shortest", "known", "up"] == "40" and found["middle", "unknown", "up"] == "0"
+    assert seat.fig17_seat(rows).axes
