@@ -1,15 +1,17 @@
 """The pilot on its own: references, states from poses, ticks, the estimator's schedule, the hand-over of the length."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.windows import LEAD
+from fiplib.mpc import Status
 from fiplib.observers import OBSERVERS, Observer
 from fiplib.params import A_DOT, GRAVITY, NANO, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover, Pilot
+from fiplib.pilot import Circle, Hover, Pilot, Tick
 from fiplib.recording import Measurement
 
 PARAMS = Params()
@@ -227,3 +229,64 @@ def test_the_trusted_hand_over_starts_short_and_takes_the_deviation_into_account
         assert sure.receive_estimate(1.3, 0.01) == sure.length
         unsure.receive_estimate(1.3, 0.4)
     assert unsure.length < 0.9 * sure.length < 1.3
+
+
+# --- what is given that is not what is asked for
+
+POSES = Measurement(
+    0,
+    np.array((0.0, 0.0, 1.3)),
+    np.array((0.0, 0.0, 0.0, 1.0)),
+    np.array((0.0, 0.0, 1.88)),
+    np.array((0.0, 0.0, 0.0, 1.0)),
+)
+
+
+def tick() -> Tick:
+    return Pilot(Params(), Hover()).observe(0, POSES)
+
+
+MISUSES = {
+    "no parameters": lambda pilot: Pilot(None, Hover()),
+    "no reference": lambda pilot: Pilot(Params(), None),
+    "a reference without height": lambda pilot: Pilot(Params(), SimpleNamespace(at=Hover().at)),
+    "a reference of nan": lambda pilot: Pilot(Params(), Hover(x=math.nan)),
+    "a reference of two states": lambda pilot: Pilot(
+        Params(), SimpleNamespace(at=lambda t: np.zeros((1, 2)), height=1.0)
+    ),
+    "no time": lambda pilot: pilot.step(None, POSES),
+    "a time of nan": lambda pilot: pilot.step(math.nan, POSES),
+    "a time in s": lambda pilot: pilot.step(1.5, POSES),
+    "a time before 1970": lambda pilot: pilot.step(-1, POSES),
+    "no frame": lambda pilot: pilot.step(0, None),
+    "a frame of numbers": lambda pilot: pilot.step(0, (0, 1, 2, 3, 4)),
+    "a frame without a stamp": lambda pilot: pilot.step(0, POSES._replace(stamp=None)),
+    "a stamp of nan": lambda pilot: pilot.step(0, POSES._replace(stamp=math.nan)),
+    "a position in the plane": lambda pilot: pilot.step(0, POSES._replace(vehicle_position=np.zeros(2))),
+    "position and attitude mixed up": lambda pilot: pilot.step(
+        0, Measurement(0, POSES[2], POSES[1], POSES[3], POSES[4])
+    ),
+    "no attitude": lambda pilot: pilot.step(0, POSES._replace(pendulum_attitude=None)),
+    "an attitude of nan": lambda pilot: pilot.step(0, POSES._replace(pendulum_attitude=np.full(4, math.nan))),
+    "words": lambda pilot: pilot.step(0, POSES._replace(vehicle_position="lost")),
+    "no tick to solve": lambda pilot: pilot.solve(None),
+    "no tick to answer": lambda pilot: pilot.answer(None, np.zeros(2), Status.OPTIMAL),
+    "three rates": lambda pilot: pilot.answer(tick(), np.zeros(3), Status.OPTIMAL),
+    "no rates": lambda pilot: pilot.answer(tick(), None, Status.OPTIMAL),
+    "no tick to hold": lambda pilot: pilot.hold(None, np.zeros(10)),
+    "no place to hold": lambda pilot: pilot.hold(tick(), None),
+    "no length": lambda pilot: pilot.receive_estimate(None),
+    "a length in words": lambda pilot: pilot.receive_estimate("long"),
+    "two lengths": lambda pilot: pilot.receive_estimate(np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("name", MISUSES)
+def test_a_misuse_is_one_value_error_in_words_and_changes_nothing(name):
+    pilot = Pilot(Params(), Hover())
+    with pytest.raises(ValueError) as caught:
+        MISUSES[name](pilot)
+    assert str(caught.value) and caught.type is ValueError
+    fresh = Pilot(Params(), Hover())
+    command, expected = (one.step(NANO // 60, POSES._replace(stamp=NANO // 60)) for one in (pilot, fresh))
+    np.testing.assert_array_equal(command.body_rate, expected.body_rate)
