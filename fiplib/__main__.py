@@ -23,12 +23,13 @@ OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
+EXTRAS |= {"pandas": "tables", "pyarrow": "tables"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
     "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; recover or convert one"),
+    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; cut, export, recover or convert it"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),

@@ -40,6 +40,7 @@ PRODUCTS = {
     "fig15-identifiability": Product(
         "fiplib.studies.identifiability:fig15_identifiability", bags=("push-hover", "circle-0.8")
     ),
+    "fig16-coverage": Product("fiplib.studies.poses:fig16_coverage", studies=("poses",)),
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
@@ -55,6 +56,7 @@ PRODUCTS = {
     "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
+    "table13-coverage": Product("fiplib.studies.poses:table13_coverage", studies=("poses",)),
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""

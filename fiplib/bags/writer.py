@@ -21,20 +21,22 @@ from fiplib.params import NANO
 from fiplib.recording import JOINTS, LEVELS, LOG, ORIGINS, ROLES, BagError, Recorder
 
 
-def open_bag(path: Path) -> Writer:
-    """The library's writer of a new MCAP bag. Raises BagError if it cannot be written there."""
+def open_bag(path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Writer:
+    """The library's writer of a new bag, compressed if MCAP. Raises BagError if it cannot be written there."""
     try:
         # Version 8 of metadata.yaml is read by ROS 2 Humble, Iron, Jazzy and later alike.
-        writer = Writer(path, version=8, storage_plugin=StoragePlugin.MCAP)
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer = Writer(path, version=8, storage_plugin=storage)
+        if storage == StoragePlugin.MCAP:
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         writer.open()
     except (WriterError, OSError) as error:
         raise BagError(
             f"{path}: cannot record here ({error}); choose another path, or move the old bag away"
         ) from error
-    # The library leaves the CRC of a chunk empty: let zstd carry one, so that every reader notices a damaged byte.
-    options = {zstd.CompressionParameter.checksum_flag: 1}
-    writer.storage.compressor = functools.partial(zstd.compress, options=options)
+    if storage == StoragePlugin.MCAP:
+        # The library leaves the CRC of a chunk empty: let zstd carry one, so that every reader notices a damaged byte.
+        options = {zstd.CompressionParameter.checksum_flag: 1}
+        writer.storage.compressor = functools.partial(zstd.compress, options=options)
     return writer
 
 

@@ -34,12 +34,13 @@ STUDIES = {
     "estimators": "fiplib.studies.estimators",
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
+    "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

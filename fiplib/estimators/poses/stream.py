@@ -1,22 +1,84 @@
-"""The estimate of a flight that goes on."""
+"""The estimate of a flight that goes on, and how the interval of a recorded one shrank."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fiplib.estimators.poses.estimate import estimate, problem_of
-from fiplib.estimators.poses.filter import LANES, R, State, run
-from fiplib.estimators.poses.fit import STEP, Value, inverse, neighbours
+from fiplib.estimators.poses.estimate import PoseEstimate, solved
+from fiplib.estimators.poses.filter import R, Rows, State, run
+from fiplib.estimators.poses.fit import STEP, Fit, Value, inverse, neighbours
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import RISE_HALF, Body, cleaned, rows_of
+
+FIRST = 1.0
+"""Seconds from the first pose after which a history begins."""
+
+
+class Running:
+    """Score and Fisher information at one maximum, gathered row by row, at a constant cost each.
+
+    One Newton step from that maximum gives the maximum for all rows so far.
+    """
+
+    def __init__(self, fit: Fit, time: float, axes: int) -> None:
+        self._fit, self._lanes = fit, neighbours(fit.theta, fit.free)
+        deviations, slopes = fit.prior.at(self._lanes)
+        self._score, self._information = -slopes @ deviations, slopes @ slopes.T
+        self._state = State.at(time, axes)
+
+    def add(self, rows: Rows) -> None:
+        """Filter more rows, later than all before."""
+        out = run(rows, self._lanes, np.full(len(self._fit.free), STEP), state=self._state)
+        self._score += out.score
+        self._information += out.fisher
+
+    @property
+    def length(self) -> Value:
+        """The length in m for all rows so far, and its standard deviation."""
+        covariance = inverse(self._information)
+        at = int(np.flatnonzero(self._fit.free == R)[0])
+        step = float(covariance[at] @ self._score)
+        return Value(2.0 * (float(self._fit.theta[R]) + step), 2.0 * math.sqrt(covariance[at, at]))
+
+
+class History(NamedTuple):
+    """An answer, and what it was before all poses were in: seconds from the first pose (n,), lengths and their
+    standard deviations (n,), m. The arrays are empty if the answer was refused before there was a maximum."""
+
+    answer: PoseEstimate
+    time: NDArray
+    length: NDArray
+    standard_deviation: NDArray
+
+
+def history(vehicle: Body, rod: Body, knowledge: Knowledge | None = None, points: int = 60) -> History:
+    """Return the length of a flight of any duration, and how its interval shrank; see ``estimate``.
+
+    The earlier lengths are each one Newton step from the maximum for the whole flight. Their times are spaced evenly in
+    logarithm. What the answer's deviation holds for a rod that may not be uniform is part of theirs.
+    """
+    answer, problem, fit = solved(vehicle, rod, knowledge)
+    if problem is None or fit is None:
+        return History(answer, *np.zeros((3, 0)))
+    rows = problem.rows
+    doubt = max(answer.standard_deviation**2 - fit.length.deviation**2, 0.0) if answer.reason is None else 0.0
+    running, first = Running(fit, rows.time[0], rows.value.shape[1]), 0
+    times, found = np.geomspace(FIRST, max(rows.time[-1] - rows.time[0], 2.0 * FIRST), points), []
+    for last in np.searchsorted(rows.time, rows.time[0] + times, side="right"):
+        running.add(rows.part(slice(first, last)))
+        length, deviation = running.length
+        found.append((length, math.sqrt(deviation**2 + doubt)))
+        first = last
+    return History(answer, times, *np.array(found).T)
 
 
 class Stream:
     """The estimate of a flight that goes on: poses are added as they arrive, at a constant cost each.
 
-    The filter of a first window's maximum and of its neighbours runs on, and so do the score and the Fisher
-    information; one Newton step from that maximum then gives the maximum for all poses so far. The checks that
-    ``estimate`` makes are not repeated here.
+    The filter of a first window's maximum and of its neighbours runs on, see ``Running``. The checks that ``estimate``
+    makes are not repeated here.
 
     Args:
         vehicle, rod: the first window, 2.5 s or more; see ``estimate``.
@@ -27,17 +89,12 @@ class Stream:
     """
 
     def __init__(self, vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> None:
-        knowledge = knowledge or Knowledge()
-        if (reason := estimate(vehicle, rod, knowledge).reason) is not None:
-            raise ValueError(reason)
-        problem = problem_of(vehicle, rod, knowledge, [])
-        self._fit = problem.fit(problem.inertia, problem.offset)
+        answer, problem, fit = solved(vehicle, rod, knowledge)
+        if answer.reason is not None:
+            raise ValueError(answer.reason)
         self._bodies = [cleaned(vehicle), cleaned(rod)]
         self._origin = self._bodies[0].position[0]
-        self._lanes = neighbours(self._fit.theta, self._fit.free)
-        deviations, slopes = self._fit.prior.at(self._lanes)
-        self._score, self._information = -slopes @ deviations, slopes @ slopes.T
-        self._state = State.at(problem.rows.time[0], -(-len(self._lanes) // LANES) * LANES, 2)
+        self._running = Running(fit, problem.rows.time[0], 2)
         self._done = -math.inf
         self.push(Body(np.zeros(0)), Body(np.zeros(0)))
 
@@ -51,10 +108,7 @@ class Stream:
         rows = rows_of(*self._bodies, self._origin)
         fresh = (rows.time > self._done) & (rows.time <= until)
         if np.any(fresh):
-            steps = np.full(len(self._fit.free), STEP)
-            out = run(rows.part(fresh), self._lanes, steps, state=self._state)
-            self._score += out.score
-            self._information += out.fisher
+            self._running.add(rows.part(fresh))
             self._done = until
         # what smoothing needs of the past
         self._bodies = [body.part(body.time > self._done - 2.0 * RISE_HALF) for body in self._bodies]
@@ -62,7 +116,4 @@ class Stream:
     @property
     def length(self) -> Value:
         """The length in m for all poses so far, and its standard deviation."""
-        covariance = inverse(self._information)
-        step = covariance @ self._score
-        at = int(np.flatnonzero(self._fit.free == R)[0])
-        return Value(2.0 * float(self._fit.theta[R] + step[at]), 2.0 * math.sqrt(covariance[at, at]))
+        return self._running.length
