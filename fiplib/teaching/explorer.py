@@ -294,7 +294,7 @@ class Explorer:
         estimation, end = flight.params.estimation, flight.duration
         seconds = min((estimation.window - 1) * estimation.sample_period + 0.05, end)
         self.span.min, self.span.max = 0.0, max(round(end, 2), 0.1)
-        self.span.step = next((step for step in STEPS if end <= 1000 * step), STEPS[-1])
+        self.span.step = step_for(end)
         start = self.span.step * round((end - seconds) / 2 / self.span.step)
         self.span.value = (round(start, 2), round(start + seconds, 2))
 
@@ -302,7 +302,9 @@ class Explorer:
         """The headline: the recommended estimate from the whole flight, the genetic algorithm's beside it."""
         whole = self.whole
         if whole.reason is not None:
-            self.length.value = problem(f"No length: {whole.reason}")
+            listed = whole.reason in [finding.sentence for finding in self.chooser.against]
+            why = "what is listed below speaks against it" if listed else whole.reason
+            self.length.value = problem(f"No length: {why}")
             return
         low, high = whole.interval
         beside = "no answer of the genetic algorithm: it needs commands" if self.flight.command is None else ""
@@ -324,7 +326,7 @@ class Explorer:
         words = f"from the poses alone: <b>{found.length:.4f}</b> m, 95 % interval {_interval(found)} m"
         first = problem(f"From the poses alone, no length: {found.reason}") if found.reason else box(words)
         if why is not None:
-            self.answer.value = first + problem(f"The genetic algorithm has no answer. {why}")
+            self.answer.value = first + problem(f"The genetic algorithm has no answer: {why}")
             return
         last = self.refits[-1]
         if reason := stated(last).reason:
@@ -398,6 +400,11 @@ class Explorer:
         for action, moved in ((self.draw, (self.span, self.zoom)), (self._outdate, settings)):
             for widget in moved:
                 widget.observe(action, "value")
+
+
+def step_for(seconds: float) -> float:
+    """Return the step of a slider over so many seconds, s."""
+    return next((step for step in STEPS if seconds <= 1000 * step), STEPS[-1])
 
 
 def _interval(found: "PoseEstimate") -> str:

@@ -45,12 +45,13 @@ class Chooser:
 
     ``taken`` is called with each flight that was read and the bar of progress, which is shown until it returns.
     ``folder`` is browsed first; new bags are written into the folder that ``output`` names. ``flight`` was read last,
-    or None, with the keyword arguments ``reading`` of ``bags.read``.
+    or None, with the keyword arguments ``reading`` of ``bags.read``; ``against`` is what speaks against it.
     """
 
     def __init__(self, folder: Path, output: widgets.Text, taken: Callable[[Flight, Progress], None]) -> None:
         self.flight: Flight | None = None
         self.reading: dict[str, Any] = {}
+        self.against: list[Finding] = []
         self._output, self._taken, self._filling = output, taken, False
         self._path: Path | None = None
         self._request: tuple | None = None
@@ -152,11 +153,11 @@ class Chooser:
         self.progress.say(f"reading {path.name}", 0.1)
         flight = bags.read(path, **self.reading)
         self.progress.say("checking frames, units and clocks", 0.2)
-        against = findings(flight)
+        self.against = findings(flight)
         self.flight = flight
         self._fill(offered, chosen(flight))
         self._describe(flight)
-        self._show(against)
+        self._show()
         self._taken(flight, self.progress)
 
     def _refuse(self, error: Exception) -> None:
@@ -171,16 +172,16 @@ class Chooser:
             f"{counts}; {commands}{folded('how it was read', flight.notes)}"
         )
 
-    def _show(self, against: list[Finding]) -> None:
+    def _show(self) -> None:
         """List what speaks against the flight, each with a button where something mends it."""
         lines = []
-        for finding in against:
+        for finding in self.against:
             words = widgets.HTML(problem(finding.sentence))
             lines.append(row(words, self._button("Apply", finding.cure)) if finding.cure else words)
         cures: dict[str, Any] = {}
-        for finding in against:
+        for finding in self.against:
             cures |= finding.cure
-        if sum(bool(finding.cure) for finding in against) > 1:
+        if sum(bool(finding.cure) for finding in self.against) > 1:
             lines.append(self._button("Apply all", cures))
         if self.reading:
             back = button("Read as recorded", False, "150px")
