@@ -101,6 +101,7 @@ class Explorer:
         self.length.value = ""
         self.over_windows.value = b""
         self.over_windows.layout.display = "none"
+        self.chooser.show(flight)
         progress.say("estimating the length from the whole flight", 0.3)
         self.whole, self.flight = replay.estimate(flight), flight
         self._add_row(RECOMMENDED, self.whole, (0.0, flight.duration))
@@ -304,7 +305,7 @@ class Explorer:
         if whole.reason is not None:
             listed = whole.reason in [finding.sentence for finding in self.chooser.against]
             why = "what is listed below speaks against it" if listed else whole.reason
-            self.length.value = problem(f"No length: {why}")
+            self.length.value = problem(f"{self.flight.path.name}: no length: {why}")
             return
         low, high = whole.interval
         beside = "no answer of the genetic algorithm: it needs commands" if self.flight.command is None else ""
@@ -314,7 +315,8 @@ class Explorer:
         assumed = folded("what was assumed, and what was left out", [*whole.assumed, *whole.notes])
         self.length.value = box(
             f"<span style='font-size:170%'>l = <b>{whole.length:.4f}</b> m</span>, 95 % interval "
-            f"{low:.4f} to {high:.4f} m<br>from the poses of both bodies over the whole flight; {self._truth_words()}"
+            f"{low:.4f} to {high:.4f} m<br>from the poses of both bodies over the whole flight "
+            f"{html.escape(self.flight.path.name)}; {self._truth_words()}"
             f"<br>{html.escape(beside)}{assumed}"
         )
 

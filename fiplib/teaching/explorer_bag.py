@@ -43,7 +43,8 @@ _ORIGINS = {"simulated": "simulated, no real vehicle", "real": "a real flight", 
 class Chooser:
     """Widgets that read a bag, and what they do; a problem is text in the page (``message``).
 
-    ``taken`` is called with each flight that was read and the bar of progress, which is shown until it returns.
+    ``taken`` is called with each flight that was read and the bar of progress, which is shown until it returns; it
+    calls ``show`` when the page has let go of the flight before.
     ``folder`` is browsed first; new bags are written into the folder that ``output`` names. ``flight`` was read last,
     or None, with the keyword arguments ``reading`` of ``bags.read``; ``against`` is what speaks against it.
     """
@@ -55,7 +56,7 @@ class Chooser:
         self._output, self._taken, self._filling = output, taken, False
         self._path: Path | None = None
         self._request: tuple | None = None
-        self.path = text("", "path", "folder of a ROS 2 bag, or an .mcap or .db3 file", "560px")
+        self.path = text("", "path", "folder of a ROS 2 bag, or an .mcap or .db3 file", "420px")
         self.load = button("Load", width="90px")
         self.browser = widgets.Select(rows=8, layout=widgets.Layout(width="560px", max_width="100%"))
         self.browser.add_class("fip-browser")
@@ -156,24 +157,20 @@ class Chooser:
         self.against = findings(flight)
         self.flight = flight
         self._fill(offered, chosen(flight))
-        self._describe(flight)
-        self._show()
         self._taken(flight, self.progress)
 
     def _refuse(self, error: Exception) -> None:
         still = "" if self.flight is None else f"\nThe page still shows {self.flight.path.name}."
         self.message.value = problem(f"{error}{still}")
 
-    def _describe(self, flight: Flight) -> None:
+    def show(self, flight: Flight) -> None:
+        """Say what was read, and list what speaks against it, each with a button where something mends it."""
         counts = f"{len(flight.vehicle.stamp)} poses of the vehicle, {len(flight.pendulum.stamp)} of the rod"
         commands = "no commands" if flight.command is None else f"{len(flight.command.stamp)} commands"
         self.message.value = box(
             f"<b>{html.escape(flight.path.name)}</b>: {_ORIGINS[flight.metadata['origin']]}; {flight.duration:.1f} s, "
             f"{counts}; {commands}{folded('how it was read', flight.notes)}"
         )
-
-    def _show(self) -> None:
-        """List what speaks against the flight, each with a button where something mends it."""
         lines = []
         for finding in self.against:
             words = widgets.HTML(problem(finding.sentence))
