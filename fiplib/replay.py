@@ -11,13 +11,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import scipy  # its parts are imported when they are first used
 
-from fiplib.estimators.base import Estimate
 from fiplib.estimators.handover import HANDOVERS
-from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
 from fiplib.estimators.poses.knowledge import Knowledge, Told
-from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
+from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.params import NANO, STATES, Params
 from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
@@ -31,9 +28,6 @@ STRIDE = 14
 
 MOST_SAMPLES = 250
 """Samples in a window between two times at most: beyond, an estimate takes longer than one likes to wait."""
-
-BY_CHANCE = 1e-3
-"""Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
 
 
 class TimedWindow(NamedTuple):
@@ -135,11 +129,12 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     """
     params = params or flight.params
     estimator, found = estimator_of(params), windows(flight, params)
+    function = estimator.function  # one for all windows: it may remember them
     overlap = SAMPLERS[estimator.kind](params).seconds / params.estimation.run_period
     policy, seed = HANDOVERS[params.piloting.handover](params, overlap), flight.metadata.get("seed", 0)
     stamps, rows = [flight.start_ns], [(policy.used, np.nan, np.nan)]
     for run, (stamp, window) in enumerate(found):
-        answer = estimator.function(window, params, np.random.default_rng([seed, run]))
+        answer = function(window, params, np.random.default_rng([seed, run]))
         length, deviation = answer.length, answer.standard_deviation
         stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
         rows.append((policy.update(length, deviation), length, deviation))
@@ -156,38 +151,14 @@ def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stat
     return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
 
 
-def estimate(flight: Flight, params: Params | None = None) -> Estimate:
+def estimate(flight: Flight, params: Params | None = None) -> "PoseEstimate":
     """Return the length of the rod from a whole flight, with a standard deviation, or the reason why there is none.
 
-    A flight that says how it was flown (its metadata hold parameters, or ``params`` are given) and holds commands is
-    estimated with both (``likelihood.maximum_likelihood``), on windows that follow each other without overlap. Their
-    answers are independent; the logarithms of the lengths are averaged by their precision. What several windows
-    scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
-    refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
-
-    ``params`` replace those of the flight. Raises BagError, ValueError: other version; under 16 frames to a window.
+    It comes from the poses of both bodies (``length_from_poses``). ``assumed`` says what was taken for granted:
+    ``params`` if they are given, else what the flight's metadata say of vehicle, rod and motion capture. Raises
+    BagError: the metadata are of another version.
     """
-    knowledge = Knowledge.of(params) if params else Knowledge.of_flight(flight)
-    known, params = params or "params" in flight.metadata, params or flight.params
-    seconds = params.estimation.raw_window
-    if not known or why_not_refit(flight, seconds):
-        return length_from_poses(flight, knowledge)
-    found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
-    given = [answer for answer in found if answer.reason is None]
-    if not given:
-        why = f"; the last: {found[-1].reason}" if found else ", as motion capture or commands have gaps"
-        return Estimate(math.nan, math.nan, f"none of {len(found)} windows of {seconds:g} s gives a length{why}")
-    lengths, deviations = np.array([(answer.length, answer.standard_deviation) for answer in given]).T
-    precision = (lengths / deviations) ** 2
-    mean = float(np.average(np.log(lengths), weights=precision))
-    scatter, free = float(np.sum(precision * (np.log(lengths) - mean) ** 2)), len(given) - 1
-    if free and scipy.special.chdtrc(free, scatter) < BY_CHANCE:
-        low, high = lengths.min(), lengths.max()
-        reason = f"the windows contradict each other beyond chance: they give lengths from {low:.3f} to {high:.3f} m"
-        return Estimate(math.nan, math.nan, reason)
-    length = math.exp(mean)
-    deviation = length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum()))
-    return Estimate(length, deviation, assumed=(ASSUMED,))
+    return length_from_poses(flight, Knowledge.of(params) if params else None)
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
@@ -234,36 +205,31 @@ def raw_windows(
     """Windows of raw motion capture of a flight, for the estimators that take them.
 
     A window spans ``seconds``; the next one comes ``every`` s later, and overlaps it when that is shorter. Only what
-    lies between ``start`` and ``end``, in s since the start of the flight, is used. Raises BagError as ``windows``.
+    lies between ``start`` and ``end``, in s since the start of the flight, is used, and of that what both bodies have.
     """
-    command = _commands(flight, seconds)
-    last = np.searchsorted(flight.time(command), end, side="right")
-    sampler, found, given = RawSampler(seconds), [], 0
-    for now, measurement in measurements(flight):
-        if not start <= (measurement.stamp - flight.start_ns) / NANO <= end:
-            continue
-        sampler.push_frame(measurement)
-        while given < last and command.stamp[given] <= now:
-            sampler.push_command(int(command.stamp[given]), None, command.values[given, :3], command.values[given, 3])
-            given += 1
-        # half a millisecond of slack, so that a period of whole frames is not missed by rounding
-        if (not found or now - found[-1].stamp > every * NANO - 500_000) and (window := sampler.window()):
-            found.append(TimedWindow(now, window))
+    bodies = flight.vehicle, flight.pendulum
+    first = max(max(float(flight.time(body)[0]) for body in bodies), start)
+    last, found = min(min(float(flight.time(body)[-1]) for body in bodies), end), []
+    step = 0.5 / flight.params.piloting.mocap_rate  # of slack: a window holds the frame that begins it, not the next
+    for number in range(math.floor((last - first - seconds + 3 * step) / every) + 1):
+        begin = flight.start_ns + round((first + number * every - step) * NANO)
+        window = RawWindow.between(flight, begin, begin + round(seconds * NANO))
+        if all(len(body.stamp) for body in window):
+            arrived = flight.vehicle.received[flight.vehicle.stamp == window.vehicle.stamp[-1]]
+            found.append(TimedWindow(int(arrived[0]), window))
     return found
 
 
 def raw_window_between(flight: Flight, start: float, end: float) -> RawWindow:
-    """The window of raw motion capture of a stretch of flight, but for 0.02 s of frames lost at its ends.
-
-    Raises BagError if the bag holds no commands, ValueError if motion capture or commands have a gap there.
-    """
-    if not (found := raw_windows(flight, end - start - 0.02, 0.0, start, end)):
-        raise ValueError(f"needs motion capture all along the window, and commands from {LEAD:g} s before it")
-    return found[-1].window
+    """The window of raw motion capture of a stretch of flight. Raises ValueError if a body has no poses there."""
+    window = RawWindow.between(flight, *(flight.start_ns + round(seconds * NANO) for seconds in (start, end)))
+    if not all(len(body.stamp) for body in window):
+        raise ValueError("needs poses of both bodies within the window")
+    return window
 
 
 def _due(
-    flight: Flight, sampler: WindowSampler | RawSchedule, start: float = -math.inf, end: float = math.inf
+    flight: Flight, sampler: WindowSampler | RawSampler, start: float = -math.inf, end: float = math.inf
 ) -> Iterator[TimedWindow]:
     """The windows that a sampler has ready at the commands between two times in s, fed as in flight."""
     command, known = _commands(flight, -math.inf), states(flight)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fiplib import bags, replay
-from fiplib.estimators.likelihood import maximum_likelihood
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
 from fiplib.pilot import Hover
@@ -47,13 +46,13 @@ def test_a_refit_gives_the_recorded_lengths_bit_for_bit(estimated):
 
 def test_a_refit_takes_another_estimator_and_another_hand_over(estimated):
     changed = estimated.params.replace(
-        estimation__estimator="maximum_likelihood", piloting__handover="trusted", estimation__run_period=2.0
+        estimation__estimator="poses", piloting__handover="trusted", estimation__run_period=2.0
     )
     used, found, deviation = replay.refit(estimated, changed).length.values.T
     assert used[0] == changed.piloting.rod_lengths[0], "the trusted hand-over starts from the shortest rod to expect"
-    # 3 mm: the RMS error of such a window is 1.4 mm (table 4); the trusted length stays on the short side
-    assert found[-1] == pytest.approx(1.0, abs=3e-3) and 0.9 < used[-1] < found[-1]
-    assert (deviation[1:] < 0.01).any()
+    assert found[-1] == pytest.approx(1.0, abs=3 * deviation[-1]) and 0.9 < used[-1] < found[-1]
+    # a stream forgets nothing: what was 6 mm after 2.5 s is half of that after 20 s
+    assert deviation[-1] < 0.6 * deviation[2] < 0.01
 
 
 def test_commands_recorded_at_another_rate_make_windows_of_the_same_sampling(estimated):
@@ -95,45 +94,29 @@ def test_what_cannot_be_replayed_says_why(estimated):
     assert len(replay.commands(nameless, follow=Hover()).values) == len(estimated.command.values)
 
 
+EVENTFUL = ("push-hover", "length-jump")
+"""Bags of which a stretch is not what the model knows: pushes, a rod that leans by 36 deg."""
+
+
 @pytest.mark.parametrize("name", BAGS)
-def test_the_length_estimated_from_a_whole_flight_lies_within_its_interval(name):
+def test_the_length_estimated_from_a_whole_flight_lies_within_its_interval_or_it_is_refused(name):
     found = replay.estimate(bags.read(DATA / name))
-    assert found.reason is None and found.standard_deviation < 0.002  # 7 to 10 windows, 2 to 5 mm each
+    if name in EVENTFUL:
+        assert np.isnan(found.length) and found.reason
+    else:
+        assert found.reason is None and found.standard_deviation < 0.003
+        assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
+
+
+def test_exchanged_bodies_give_no_length_but_the_reason(estimated):
+    found = replay.estimate(dataclasses.replace(estimated, vehicle=estimated.pendulum, pendulum=estimated.vehicle))
+    assert np.isnan(found.length) and "the bodies are swapped" in found.reason
+
+
+def test_a_flight_is_estimated_from_its_poses_alone(estimated):
+    found = replay.estimate(dataclasses.replace(estimated, command=None))
+    assert found == replay.estimate(estimated) == replay.length_from_poses(estimated)
     assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
-
-
-def test_windows_that_contradict_each_other_give_no_length(estimated):
-    """A single window accepts any inertia, and any rod; several windows do not agree on a length then."""
-    point_mass = replay.estimate(estimated, estimated.params.replace(pendulum__gyration_ratio=0.0))
-    rod = dataclasses.replace(estimated.pendulum, position=estimated.pendulum.position.copy())
-    half = len(rod.position) // 2
-    rod.position[half:] += 0.05 * (rod.position[half:] - estimated.vehicle.position[half:])
-    for found in (point_mass, replay.estimate(dataclasses.replace(estimated, pendulum=rod))):
-        assert np.isnan(found.length) and np.isnan(found.standard_deviation)
-        assert "contradict each other beyond chance" in found.reason
-
-
-def test_garbage_gives_no_length_but_the_reason_of_the_estimator(estimated):
-    command = dataclasses.replace(estimated.command, values=estimated.command.values[:, [1, 0, 2, 3]])
-    swapped = dataclasses.replace(estimated, command=command)
-    exchanged = dataclasses.replace(estimated, vehicle=estimated.pendulum, pendulum=estimated.vehicle)
-    for garbage in (swapped, exchanged):
-        found = replay.estimate(garbage)
-        assert np.isnan(found.length)
-        assert "none of 9 windows of 2.5 s gives a length" in found.reason
-        assert "the model does not explain the window" in found.reason
-
-
-def test_a_flight_whose_commands_do_not_suffice_is_estimated_from_its_poses(estimated):
-    early = estimated.time(estimated.command) < 2.0
-    command = dataclasses.replace(
-        estimated.command, stamp=estimated.command.stamp[early], values=estimated.command.values[early]
-    )
-    answers = [replay.estimate(dataclasses.replace(estimated, command=part)) for part in (command, None)]
-    answers.append(replay.length_from_poses(estimated))
-    assert len({(answer.length, answer.standard_deviation) for answer in answers}) == 1
-    assert abs(answers[0].length - 1.0) < 1.96 * answers[0].standard_deviation
-    assert any("seat" in sentence for sentence in answers[0].assumed)
 
 
 def test_a_flight_of_a_stranger_is_estimated_from_its_poses_with_weaker_assumptions(estimated):
@@ -148,34 +131,32 @@ def test_a_flight_of_a_stranger_is_estimated_from_its_poses_with_weaker_assumpti
 
 
 def test_what_an_estimate_took_for_granted_is_said(estimated):
-    assert "commands" in replay.estimate(estimated).assumed[0]
+    assert any("seat" in sentence for sentence in replay.estimate(estimated).assumed)
+    other = estimated.params.replace(pendulum__mass=0.064)
+    assert replay.estimate(estimated, other).assumed != replay.estimate(estimated).assumed
 
 
-def test_a_single_window_gives_its_own_answer(estimated):
-    inside = estimated.time(estimated.command) < 4.0
-    command = dataclasses.replace(
-        estimated.command, stamp=estimated.command.stamp[inside], values=estimated.command.values[inside]
-    )
-    short = dataclasses.replace(estimated, command=command)
-    windows = replay.raw_windows(short, 2.5, 2.5, end=4.0)
-    assert len(windows) == 1
-    alone = maximum_likelihood(windows[0].window, estimated.params)
-    cut = {
-        name: getattr(estimated.vehicle, name)[estimated.time(estimated.vehicle) < 4.0]
-        for name in ("stamp", "received", "position", "orientation")
-    }
-    found = replay.estimate(dataclasses.replace(short, vehicle=dataclasses.replace(estimated.vehicle, **cut)))
-    assert found.length == pytest.approx(alone.length, rel=1e-12)
-    assert found.standard_deviation == pytest.approx(alone.standard_deviation, rel=1e-12)
-
-
-def test_raw_windows_of_a_stretch_hold_its_frames_alone(estimated):
+def test_raw_windows_of_a_stretch_hold_its_poses_alone(estimated):
     window = replay.raw_window_between(estimated, 6.0, 9.0)
-    assert window.time[-1] == pytest.approx(2.98, abs=1 / 240)
-    end = estimated.time(estimated.vehicle) <= 9.0
-    np.testing.assert_array_equal(window.vehicle[-1], estimated.vehicle.position[end][-1])
-    with pytest.raises(ValueError, match=r"commands from 0\.1 s before"):
-        replay.raw_window_between(estimated, 0.0, 3.0)
+    assert window.seconds == pytest.approx(3.0, abs=1 / 240)
+    for body, recorded in zip(window, (estimated.vehicle, estimated.pendulum), strict=True):
+        inside = (estimated.time(recorded) >= 6.0) & (estimated.time(recorded) <= 9.0)
+        np.testing.assert_array_equal(body.stamp, recorded.stamp[inside])
+        np.testing.assert_array_equal(body.position, recorded.position[inside])
+    with pytest.raises(ValueError, match="needs poses of both bodies"):
+        replay.raw_window_between(estimated, 600.0, 603.0)
+
+
+def test_bodies_that_are_logged_apart_keep_their_own_stamps(estimated):
+    rod = dataclasses.replace(
+        estimated.pendulum,
+        **{name: getattr(estimated.pendulum, name)[::2] for name in ("received", "position", "orientation")},
+        stamp=estimated.pendulum.stamp[::2] + 70_000,
+    )
+    windows = replay.raw_windows(dataclasses.replace(estimated, pendulum=rod), 2.5, 2.5)
+    assert len(windows) == 9  # of 10 without the 70 us, which the last one lacks at the end
+    assert {len(window.rod.stamp) for _, window in windows} == {300}
+    assert all(np.isin(window.rod.stamp, rod.stamp).all() for _, window in windows)
 
 
 def test_a_flight_kept_in_memory_is_the_one_in_its_bag():

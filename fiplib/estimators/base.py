@@ -21,15 +21,23 @@ class Estimate:
 
 
 class Estimator(NamedTuple):
-    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'."""
+    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'.
+
+    One that ``streams`` is a class, whose objects are such functions and remember the windows of their flight.
+    """
 
     path: str
     kind: str
+    streams: bool = False
 
     @property
     def function(self) -> Callable[..., Estimate]:
-        """The function (window, params, rng) -> Estimate; its module is imported now."""
-        return resolve_name(f"{__package__}.{self.path}")
+        """A function (window, params, rng) -> Estimate, to be taken once for all windows of a flight.
+
+        Its module is imported now.
+        """
+        found = resolve_name(f"{__package__}.{self.path}")
+        return found() if self.streams else found
 
 
 PRIOR = (1.1, 0.5)

@@ -39,7 +39,7 @@ POLICIES: dict[str, dict] = {
     "trusted": {
         "piloting__estimate": True,
         "piloting__handover": "trusted",
-        "estimation__estimator": "maximum_likelihood",
+        "estimation__estimator": "poses",
     },
 }
 """Parameters of each policy; all but ``told`` start from l0."""
