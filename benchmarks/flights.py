@@ -46,11 +46,12 @@ def truth(flight: Flight) -> NDArray:
 def model(params: Params) -> str:
     """Vehicle and rod for MuJoCo, equivalent to ``dynamics.coupled_plant``.
 
-    The vehicle is a ball of small inertia whose rates follow the commands with the lag of the inner loop: a torque
-    proportional to what is missing, without gyroscopic terms. The rod turns about the vehicle's centre of mass.
+    The vehicle is a ball whose rates follow the commands with the lag of the inner loop: a torque proportional to what
+    is missing, without gyroscopic terms. Its inertia is so large that the rod, on its seat above the centre of mass,
+    does not turn it: the lag stands for a loop that holds the rates whatever the rod does.
     """
     vehicle, rod, lags = params.vehicle, params.pendulum, params.simulation
-    inertia, half = 1e-3, rod.length / 2
+    inertia, half = 1e6, rod.length / 2
     turn = rod.mass * rod.gyration_ratio * rod.length**2
     rates = "".join(
         f'<general site="hub" gear="0 0 0 {axis}" gainprm="{inertia / lags.rate_lag}" biastype="affine" '
@@ -62,7 +63,7 @@ def model(params: Params) -> str:
     <flag contact="disable" constraint="disable"/></option>
   <worldbody><body name="vehicle"><freejoint/><site name="hub"/>
     <inertial pos="0 0 0" mass="{vehicle.mass}" diaginertia="{inertia} {inertia} {inertia}"/>
-    <body name="rod"><joint type="ball"/>
+    <body name="rod" pos="0 0 {vehicle.seat_height}"><joint type="ball"/>
       <inertial pos="0 0 {half}" mass="{rod.mass}" diaginertia="{turn} {turn} {turn * 1e-3}"/></body></body></worldbody>
   <actuator>{rates}
     <general site="hub" gear="0 0 1 0 0 0" dyntype="filter" dynprm="{lags.thrust_lag}"/></actuator>
@@ -112,7 +113,8 @@ class MuJoCoPlant(ForeignPlant):
         self.model = self.mujoco.MjModel.from_xml_string(model(params))
         self.data = data = self.mujoco.MjData(self.model)
         q = self.x[PLANT["direction"]]
-        data.qpos[:3] = self.x[PLANT["position"]]
+        self.seat = np.array([0.0, 0.0, params.vehicle.seat_height])
+        data.qpos[:3] = self.x[PLANT["position"]] - self.seat  # level at the start
         data.qpos[3:7] = np.roll(self.x[PLANT["attitude"]], 1)
         data.qpos[7:11] = np.array([1.0 + q[2], -q[1], q[0], 0.0]) / np.sqrt(2.0 * (1.0 + q[2]))
         data.act[0] = self.x[19]
@@ -129,7 +131,10 @@ class MuJoCoPlant(ForeignPlant):
         attitude, rod, spin = np.empty(4), np.empty(4), np.empty(3)
         attitude[:] = data.qpos[3:7]
         self.mujoco.mju_mulQuat(rod, attitude, data.qpos[7:11])
-        x[0:3], x[3:6], x[6:9], x[9] = data.qpos[:3], data.qvel[:3], attitude[1:], attitude[0]
+        seat, moved = np.empty(3), np.empty(3)
+        self.mujoco.mju_rotVecQuat(seat, self.seat, attitude)
+        self.mujoco.mju_rotVecQuat(moved, np.cross(data.qvel[3:6], self.seat), attitude)
+        x[0:3], x[3:6], x[6:9], x[9] = data.qpos[:3] + seat, data.qvel[:3] + moved, attitude[1:], attitude[0]
         self.mujoco.mju_rotVecQuat(x[10:13], np.array([0.0, 0.0, 1.0]), rod)
         self.mujoco.mju_rotVecQuat(spin, data.qvel[6:9], rod)
         turn = np.empty(3)

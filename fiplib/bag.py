@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     from fiplib import replay  # with its solvers it takes longer to import than a bag to recover
 
-    flight = read(options.bag, dict(pair.partition("=")[::2] for pair in options.topic))
+    flight = read(options.bag, **arguments.reading(options))
     if options.command == "info":
         print(describe(flight, {"refit": lambda flight: replay.why_not_refit(flight) or "possible"}))
         return 0

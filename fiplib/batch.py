@@ -136,6 +136,7 @@ class _Compiled:
         loops = piloting.pilot_constants(params, scenario.reference.height)
         self._pilot = (params.piloting.velocity_cutoff, np.zeros(10), loops, np.zeros(2))
         self._written = (self.frames, self.truths, self.states, self.commands, self.statuses)
+        self._seat = params.piloting.seat_height
         self._position = params.piloting.pendulum_measurement == "position"
         self._kernel, self._mpc = flight.fly, MPC(params)
 
@@ -143,7 +144,7 @@ class _Compiled:
         """Fly the frames ``first`` to ``last`` - 1 with a length in use, m; whether it fell, and the next frame."""
         used = 0.0 if self._position else length
         answer = (*self._pilot, *self._mpc.prepared(length))
-        reached = self._kernel(first, last, *self._plant, *self._plan, used, *answer, *self._written)
+        reached = self._kernel(first, last, *self._plant, *self._plan, self._seat, used, *answer, *self._written)
         if self.statuses.min(initial=0) < 0:
             raise ValueError("state must be finite")
         return reached < last, min(reached + 1, last)

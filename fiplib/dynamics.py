@@ -125,25 +125,28 @@ PLANT = {
 def coupled_plant(params: Params) -> ca.Function:
     """Vehicle and rod with the rod's reaction and inertia; the inner loop as a first-order lag.
 
-    With q the rod's direction, r = l/2, P = I - q q', lambda = r^2/(r^2 + k^2), alpha = p'' + g e3 and a force f that
-    acts on the rod's COM:
+    The position s is that of the rod's seat, which lies h (``vehicle.seat_height``) above the vehicle's centre of mass
+    along the body's z axis e = R e3. With q the rod's direction, r = l/2, P = I - q q', lambda = r^2/(r^2 + k^2),
+    alpha = s'' + g e3 and a force f that acts on the rod's COM:
 
-        (m + m_p) alpha + m_p r q'' = F R e3 + f,      q'' = -|q'|^2 q - (lambda/r) P (alpha - f/m_p).
+        (m + m_p) alpha + m_p r q'' = F e + f + m h e'',      q'' = -|q'|^2 q - (lambda/r) P (alpha - f/m_p).
 
-    The attitude is a quaternion, so the kinematic map is right at every angle. The seat is taken to lie at the
-    vehicle's centre of mass, as in the paper. As a CasADi function
-    (x (20,) laid out by ``PLANT``, command (4,): body rates rad/s and thrust N, f (3,) N) -> x'.
+    With h = 0 it is the paper's model. The attitude is a quaternion, so the kinematic map is right at every angle. As
+    a CasADi function (x (20,) laid out by ``PLANT``, command (4,): body rates rad/s and thrust N, f (3,) N) -> x'.
     """
     x, command, force = ca.SX.sym("x", 20), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     velocity, attitude, q, q_dot, body_rate, thrust = (x[PLANT[name]] for name in list(PLANT)[1:])
     m, m_p, r = params.vehicle.mass, params.pendulum.mass, params.pendulum.length / 2
-    factor = params.pendulum.inertia_factor
+    factor, seat = params.pendulum.inertia_factor, params.vehicle.seat_height
+    rate_dot = (command[:3] - body_rate) / params.simulation.rate_lag
 
     def across(v: ca.SX) -> ca.SX:
         return v - q * ca.dot(q, v)
 
     # Eliminating q'' leaves [(m + m_p) I - m_p lambda P] alpha = total: stiffer across the rod than along it
     total = thrust * body_z(attitude) + force + m_p * r * ca.sumsqr(q_dot) * q - factor * across(force)
+    if seat > 0:
+        total += m * seat * body_z_acceleration(attitude, body_rate, rate_dot)
     alpha = (total + m_p * factor / (m + m_p * (1 - factor)) * across(total)) / (m + m_p)
     q_ddot = -ca.sumsqr(q_dot) * q - factor / r * across(alpha - force / m_p)
     # the product of quaternions attitude * (omega, 0) / 2, omega in the body frame
@@ -155,7 +158,7 @@ def coupled_plant(params: Params) -> ca.Function:
         attitude_rate,
         q_dot,
         q_ddot,
-        (command[:3] - body_rate) / params.simulation.rate_lag,
+        rate_dot,
         (command[3] - thrust) / params.simulation.thrust_lag,
     )
     return ca.Function("plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
@@ -169,6 +172,14 @@ def z_axis(x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any]:
 def body_z(q: ca.SX) -> ca.SX:
     """Return the body's z axis in the world, R e3: the thrust direction, of the quaternion q = (x, y, z, w)."""
     return ca.vertcat(*z_axis(*ca.vertsplit(q)))
+
+
+def body_z_acceleration(q: ca.SX, body_rate: ca.SX, rate_dot: ca.SX) -> ca.SX:
+    """Return e'' = R (w x (w x e3) + w' x e3), 1/s^2: of a quaternion, w in rad/s, w' in rad/s^2, in the body."""
+    x, y, z = ca.vertsplit(body_rate)
+    in_body = ca.vertcat(x * z + rate_dot[1], y * z - rate_dot[0], -(x * x + y * y))
+    twice = 2 * ca.cross(q[:3], in_body)
+    return in_body + q[3] * twice + ca.cross(q[:3], twice)
 
 
 def body_z_of(q: ArrayLike) -> NDArray:
@@ -189,26 +200,3 @@ def euler_angles(q: ArrayLike) -> tuple[float, float, float]:
     theta = math.asin(max(-1.0, min(1.0, 2 * (x * z + w * y))))
     psi = math.atan2(2 * (w * z - x * y), 1 - 2 * (y * y + z * z))
     return phi, theta, psi
-
-
-def euler_rate_map() -> ca.Function:
-    """Body rates to Euler rates for R = Rx Ry Rz, the rotation that the paper states; singular at theta = 90 deg.
-
-    As a CasADi function (angles = (phi, theta, psi), body rates (3,)) -> rates of the angles.
-    """
-    angles, body_rate = ca.SX.sym("angles", 3), ca.SX.sym("omega", 3)
-    _, theta, psi = ca.vertsplit(angles)
-    wx, wy, wz = ca.vertsplit(body_rate)
-    phi_dot = (wx * ca.cos(psi) - wy * ca.sin(psi)) / ca.cos(theta)
-    theta_dot = wx * ca.sin(psi) + wy * ca.cos(psi)
-    return ca.Function("euler", [angles, body_rate], [ca.vertcat(phi_dot, theta_dot, wz - phi_dot * ca.sin(theta))])
-
-
-def printed_euler_rate_map() -> ca.Function:
-    """The map that the paper prints (section 2.1); it belongs to R = Rz Ry Rx and agrees to first order only."""
-    angles, body_rate = ca.SX.sym("angles", 3), ca.SX.sym("omega", 3)
-    phi, theta, _ = ca.vertsplit(angles)
-    wx, wy, wz = ca.vertsplit(body_rate)
-    turned = wy * ca.sin(phi) + wz * ca.cos(phi)
-    rates = ca.vertcat(wx + turned * ca.tan(theta), wy * ca.cos(phi) - wz * ca.sin(phi), turned / ca.cos(theta))
-    return ca.Function("printed_euler", [angles, body_rate], [rates])

@@ -67,9 +67,18 @@ NANO = 1_000_000_000
 """Nanoseconds in a second: times are integer nanoseconds, as in ROS messages."""
 
 
-def quantity(default: Any, unit: str, source: str, zero: bool = False) -> Any:
-    """A dataclass field that carries its unit, its source, and whether a number may be zero (none may be negative)."""
-    return field(default=default, metadata={"unit": unit, "source": source, "zero": zero})
+WITHIN = {"m": (1e-6, 100), "kg": (1e-9, 100), "s": (1e-6, 3600), "Hz": (1, 1e6), "rad": (1e-9, math.pi),
+          "rad/s": (0.01, math.inf), "N": (0.01, 1e4), "samples": (2, 1e5), "1": (1e-6, 1e3), "us": (800, 2200),
+          "unit of the state": (1e-3, math.inf), "1/unit^2": (1e-9, math.inf)}  # fmt: skip
+"""The valid range of a number by its unit, where the parameter itself names none; infinite: no bound."""
+
+
+def quantity(default: Any, unit: str, source: str, zero: bool = False, within: Any = None, above: str = "") -> Any:
+    """A dataclass field that carries its unit, its source, its valid range, whether it may be zero although the range
+    begins higher, and which parameter of its group it must exceed."""
+    low, high = within or WITHIN.get(unit, (1e-12, 1e12))
+    span = (low, math.inf if default == math.inf else high)
+    return field(default=default, metadata=dict(unit=unit, source=source, zero=zero, within=span, above=above))
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ class Vehicle:
 
     mass: float = quantity(0.569, "kg", "paper, Table 1")
     max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
-    seat_height: float = quantity(0.08, "m", "paper, section 3: recess above the frame; drawn, not modelled")
+    seat_height: float = quantity(0.08, "m", "paper, section 3: of the rod's seat above the frame; 0: at it", zero=True)
     max_thrust: float = quantity(32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); scales thrust")
     wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
     propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
@@ -89,7 +98,7 @@ class Pendulum:
     """The rod. Its centre of mass lies at half its length, as the paper assumes."""
 
     mass: float = quantity(0.032, "kg", "paper, Table 1")
-    length: float = quantity(1.0, "m", "paper, Table 1")
+    length: float = quantity(1.0, "m", "paper, Table 1", within=(0.05, 20))
     gyration_ratio: float = quantity(
         1.0 / 12.0, "1", "our choice: k^2/l^2 of a uniform rod; in the paper 0, no inertia about the COM", zero=True
     )
@@ -104,8 +113,8 @@ class Pendulum:
 class Control:
     """The optimal control problem: horizon, weights, bounds. Diagonals in the order of ``STATES`` and ``INPUTS``."""
 
-    nodes: int = quantity(60, "1", "paper, Table 2: N")
-    horizon: float = quantity(6.0, "s", "paper, Table 2: t_f")
+    nodes: int = quantity(60, "1", "paper, Table 2: N", within=(2, 500))
+    horizon: float = quantity(6.0, "s", "paper, Table 2: t_f", within=(0.05, 60))
     state_weights: tuple[float, ...] = quantity(
         (20.0, 5.0, 2.0, 0.5, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
         "1/unit^2",
@@ -135,22 +144,22 @@ class Estimation:
     estimator: str = quantity("ga", "-", "paper, section 2.3: genetic algorithm; a name in estimators.ESTIMATORS")
     window: int = quantity(55, "samples", "paper, Table 2: t_w")
     sample_period: float = quantity(0.1, "s", "reading: the MPC's own step; at 1/120 s, 0.46 s barely hold the length")
-    raw_window: float = quantity(2.5, "s", "our choice: span of raw motion capture for an estimator that takes it")
+    raw_window: float = quantity(2.5, "s", "our choice: span an estimator of kind 'raw' gets", above="first_raw_window")
     first_raw_window: float = quantity(0.3, "s", "our choice: trusted: span at the first run; less holds no length")
     run_period: float = quantity(0.2, "s", "reading of '0.2 Hz': a 0.2 s period; the other reading is 5.0 s")
-    length_min: float = quantity(0.2, "m", "paper, Table 2: l_min")
-    length_max: float = quantity(2.0, "m", "paper, Table 2: l_max")
-    resolution: float = quantity(1e-4, "m", "paper, section 2.3: resolution of the chromosome")
-    population: int = quantity(60, "1", "our choice: N_c; r_p = 0.167 suggests a multiple of 6")
-    generations: int = quantity(20, "1", "our choice: generations per run")
-    elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p", zero=True)
-    mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit", zero=True)
+    length_min: float = quantity(0.2, "m", "paper, Table 2: l_min", within=(0.01, 20))
+    length_max: float = quantity(2.0, "m", "paper, Table 2: l_max", within=(0.01, 20), above="length_min")
+    resolution: float = quantity(1e-4, "m", "paper, section 2.3: resolution of the chromosome", within=(1e-5, 1))
+    population: int = quantity(60, "1", "our choice: N_c; r_p = 0.167 suggests a multiple of 6", within=(2, 10_000))
+    generations: int = quantity(20, "1", "our choice: generations per run", within=(1, 10_000))
+    elite_fraction: float = quantity(0.167, "1", "paper, Table 2: r_p", within=(0, 1))
+    mutation_rate: float = quantity(0.1, "1", "paper, Table 2: r_m, per bit", within=(0, 1))
     median_length: int = quantity(5, "runs", "our choice: length of the median filter over successive runs")
     fitness: str = quantity("rk4_likelihood", "-", "reading: a name in kalman.READINGS; 'paper' is the printed formula")
     process_noise: tuple[float, ...] = quantity(
         (1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-7, 6e-5, 1e-4, 1e-4),
         "unit^2",
-        "our choice: diagonal of Q_e per 0.1 s; the one-step error of the model on true states of a simulated flight",
+        "our choice: diagonal of Q_e per 0.1 s; the model's one-step error in a simulated flight without a raised seat",
         zero=True,
     )
     measurement_noise: tuple[float, ...] = quantity(
@@ -166,7 +175,7 @@ class Piloting:
 
     mocap_rate: float = quantity(240.0, "Hz", "paper, section 3")
     control_rate: float = quantity(120.0, "Hz", "paper, section 3")
-    initial_length: float = quantity(1.0, "m", "per flight: length l0 that the MPC starts with")
+    initial_length: float = quantity(1.0, "m", "per flight: length l0 that the MPC starts with", within=(0.05, 20))
     estimate: bool = quantity(False, "-", "per flight: whether the length is estimated in flight")
     length_step: float = quantity(math.inf, "m", "largest change a hand-over; infinite as printed, finite as concluded")
     handover: str = quantity("printed", "-", "paper: median, at once; 'trusted' weighs by standard deviation")
@@ -180,6 +189,10 @@ class Piloting:
         0.4, "1", "measured: trusted: least used / believed; 0.2 falls (the study survival)"
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
+    seat_height: float = quantity(
+        0.08, "m", "paper, section 3: what the pilot takes the seat to be above the tracked vehicle point", zero=True
+    )
+    seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     altitude_gains: tuple[float, float, float] = quantity(
@@ -201,6 +214,7 @@ class Simulation:
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
     estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
+    vehicle_origin: str = quantity("frame", "-", "our choice: tracked point: 'frame', below the seat, or 'seat'")
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
@@ -227,9 +241,13 @@ class Groups:
                 known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
                 raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
             groups.setdefault(group, {})[key] = _checked(f"{group}.{key}", value, getattr(self, group), key)
-        return dataclasses.replace(
-            self, **{group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
-        )
+        changed = {group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
+        for name, group in changed.items():
+            for key, low in ((one.name, one.metadata["above"]) for one in dataclasses.fields(group)):
+                if low and not getattr(group, low) < getattr(group, key):
+                    numbers = f"{getattr(group, key):g} and {getattr(group, low):g}"
+                    raise ValueError(f"{name}.{key} must be above {name}.{low}, not {numbers}")
+        return dataclasses.replace(self, **changed)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return a plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``)."""
@@ -273,6 +291,14 @@ class Params(Groups):
     piloting: Piloting = Piloting()
     simulation: Simulation = Simulation()
 
+    @property
+    def seat_above_tracked(self) -> float:
+        """Height of the seat above the point that motion capture reports as the vehicle, m: the simulator's truth."""
+        origin = self.simulation.vehicle_origin
+        if origin not in ("frame", "seat"):
+            raise ValueError(f"simulation.vehicle_origin must be 'frame' or 'seat', not {origin!r}")
+        return self.vehicle.seat_height if origin == "frame" else 0.0
+
 
 def _parsed(value: Any) -> Any:
     if isinstance(value, list):
@@ -286,17 +312,18 @@ def _checked(name: str, value: Any, group: Any, key: str) -> Any:
 
     def number(item: Any, kinds: Any = int | float) -> bool:
         good = isinstance(item, kinds) and not isinstance(item, bool)
-        return good and (item > 0 or (item == 0 and metadata["zero"]))
+        return good and (low <= item <= high or (item == 0 and metadata["zero"]))
 
-    least = f"{'>=' if metadata['zero'] else '>'} 0 ({metadata['unit']})"
+    low, high = metadata["within"]
+    span = f"from {low:g} to {high:g} ({metadata['unit']}){', or 0' if metadata['zero'] and low > 0 else ''}"
     if isinstance(current, bool | str):
         kind, good = "true or false" if isinstance(current, bool) else "a word", isinstance(value, type(current))
     elif isinstance(current, tuple):
-        kind = f"{len(current)} numbers {least}"
+        kind = f"{len(current)} numbers {span}"
         good = isinstance(value, list | tuple) and len(value) == len(current) and all(map(number, value))
         value = tuple(map(float, value)) if good else value
     else:
-        kind = f"a {'whole ' if isinstance(current, int) else ''}number {least}"
+        kind = f"a {'whole ' if isinstance(current, int) else ''}number {span}"
         good = number(value, int if isinstance(current, int) else int | float)
         value = type(current)(value) if good else value
     if not good:

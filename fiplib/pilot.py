@@ -106,7 +106,9 @@ REFERENCES = {"Hover": Hover, "Circle": Circle}
 class Observer:
     """Poses to states the paper's way (section 3): velocities differentiated, then low-pass filtered (first order).
 
-    With ``pendulum_measurement = "direction"`` the offset (a, b) is the rod's direction times half the length in use.
+    Positions are those of the rod's seat, ``seat_height`` above the vehicle's tracked point along the body's z axis;
+    (a, b) lead from it to the rod's COM. With ``pendulum_measurement = "direction"`` they are the rod's direction times
+    half the length in use.
     """
 
     def __init__(self, piloting: Piloting) -> None:
@@ -134,7 +136,8 @@ class Observer:
         self._stamp = measurement.stamp
         used = 0.0 if self._piloting.pendulum_measurement == "position" else length
         observed, frame = np.empty(13), np.concatenate(measurement[1:], dtype=float)
-        self._observe(frame, used, elapsed, self._piloting.velocity_cutoff, self._memory, observed)
+        seat, cutoff = self._piloting.seat_height, self._piloting.velocity_cutoff
+        self._observe(frame, seat, used, elapsed, cutoff, self._memory, observed)
         height, climb_rate, yaw = observed[10:].tolist()
         return observed[:10], (height, climb_rate, yaw)
 

@@ -81,14 +81,14 @@ class Plant:
 
     Args:
         params: vehicle, pendulum, simulation.
-        position: (3,) m, where the vehicle hovers at the start.
+        position: (3,) m, of the seat, where the vehicle hovers at the start.
         lean: (a, b) in m at the start.
     """
 
     def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
         from fiplib.kernels import poses, vehicle
 
-        simulation = params.simulation
+        simulation, self._about = params.simulation, vehicle.plant_constants(params)
         self.substeps = round(simulation.plant_rate / params.piloting.mocap_rate)
         self._radius = params.pendulum.length / 2
         self.x = np.zeros(20)
@@ -106,7 +106,6 @@ class Plant:
         """Substeps after which a command acts."""
         self._schedule = np.zeros((self.substeps, 4))
         self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
-        self._about = vehicle.plant_constants(params)
 
     def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
@@ -146,12 +145,12 @@ class Mocap:
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
         self.noise = rng.normal(size=(frames, 12)) * scale
         """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
-        self._radius = params.pendulum.length / 2
+        self._radius, self._seat = params.pendulum.length / 2, params.seat_above_tracked
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
         """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
         frame = np.empty(14)
-        self._expose(x, self._radius, self.noise[index], frame)
+        self._expose(x, self._radius, self._seat, self.noise[index], frame)
         return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
 
 
@@ -185,7 +184,9 @@ class SimulatedVehicle:
         self._rng = np.random.default_rng(scenario.seed)
         start = scenario.reference.at(np.zeros(1))[0]
         lean = self._rng.normal(size=2) * self._params.simulation.initial_lean
-        self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height), lean)
+        mistaken = self._params.piloting.seat_height - self._params.seat_above_tracked
+        # the seat is where the pilot takes it to be at the trajectory's height
+        self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height - mistaken), lean)
         self.pushes = PushSchedule(scenario.pushes, self.rate)
         self._frames = 0
         self.flown: int | None = None
@@ -202,6 +203,11 @@ class SimulatedVehicle:
             self._mocap = self.mocap(NOISE_FRAMES)
         return self._mocap.frame(index, stamp, self.plant.x)
 
+    @property
+    def landed(self) -> bool:
+        """Whether the vehicle has come to rest on the ground."""
+        return self.plant.x[2] < GROUND + self._params.vehicle.seat_height
+
     def command(self, command: Any, at: int | None = None) -> None:
         """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""
         self.flown = self.flown or 0
@@ -209,7 +215,7 @@ class SimulatedVehicle:
 
     def advance(self) -> Push | None:
         """One frame further; the push that begins in it, if one does: record its ``event``."""
-        if self.flown is None or self.plant.x[2] < GROUND:
+        if self.flown is None or self.landed:
             return None
         force, begun = self.pushes.at(self.flown)
         self.plant.advance(force)

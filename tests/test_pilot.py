@@ -12,6 +12,7 @@ from fiplib.pilot import Circle, Hover, Observer, Pilot
 from fiplib.recording import Measurement
 
 PARAMS = Params()
+NO_SEAT = PARAMS.replace(piloting__seat_height=0.0)
 FRAME = NANO // 240
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -40,7 +41,7 @@ def test_a_circle_starts_at_rest_and_comes_to_its_period():
 
 
 def test_differentiated_velocities_settle_on_those_of_a_ramp():
-    observer = Observer(PARAMS.piloting)
+    observer = Observer(NO_SEAT.piloting)
     for index in range(240):
         seconds = index / 240
         measurement = frame(index * FRAME, (0.3 * seconds, -0.2 * seconds, 1.3), offset=(0.05 * seconds, 0))
@@ -49,6 +50,18 @@ def test_differentiated_velocities_settle_on_those_of_a_ramp():
     # a whole second is 125 time constants of the 20 Hz filter: nothing is left of the start; FRAME is rounded to 1 ns
     np.testing.assert_allclose(state[[X_DOT, Y_DOT, A_DOT]], expected, rtol=1e-6)
     assert (height, yaw) == (1.3, 0) and climb_rate == pytest.approx(0, abs=1e-12)
+
+
+def test_states_refer_to_the_seat_above_the_tracked_point_however_the_vehicle_is_turned():
+    turned = Rotation.from_euler("XYZ", [0.2, -0.3, 1.0])
+    seat, rod = np.array([0.4, -0.1, 1.3]), np.array([0.43, -0.12, 1.8])
+    place = seat - 0.08 * turned.as_matrix()[:, 2]
+    measurement = Measurement(0, place, turned.as_quat(), rod, UPRIGHT)
+    state, (height, _, _) = Observer(PARAMS.piloting).update(measurement, 1.0)
+    np.testing.assert_allclose([*state[[X, Y]], height], seat, atol=1e-15)
+    np.testing.assert_allclose(state[[A, B]], rod[:2] - seat[:2], atol=1e-15)
+    unaware, (height, _, _) = Observer(NO_SEAT.piloting).update(measurement, 1.0)
+    np.testing.assert_array_equal([*unaware[[X, Y]], height], place)
 
 
 def test_a_frame_with_an_old_stamp_changes_no_velocity():
@@ -81,7 +94,7 @@ def test_commands_come_at_the_control_rate_even_when_arrivals_jitter():
 
 
 def test_at_rest_the_pilot_commands_no_rate_and_the_weight():
-    command = Pilot(PARAMS, Hover()).step(0, frame(0))
+    command = Pilot(NO_SEAT, Hover()).step(0, frame(0))
     weight = (PARAMS.vehicle.mass + PARAMS.pendulum.mass) * GRAVITY / PARAMS.vehicle.max_thrust
     np.testing.assert_allclose(command.body_rate, 0, atol=1e-12)
     assert command.thrust == pytest.approx(weight, rel=1e-7)  # single precision
@@ -89,8 +102,8 @@ def test_at_rest_the_pilot_commands_no_rate_and_the_weight():
 
 def test_a_tilted_vehicle_gets_the_thrust_that_still_carries_it_and_is_turned_back():
     tilted = Rotation.from_euler("XYZ", [0.2, 0.0, 0.3]).as_quat()
-    level = Pilot(PARAMS, Hover()).step(0, frame(0))
-    command = Pilot(PARAMS, Hover()).step(0, frame(0, attitude=tilted))
+    level = Pilot(NO_SEAT, Hover()).step(0, frame(0))
+    command = Pilot(NO_SEAT, Hover()).step(0, frame(0, attitude=tilted))
     assert command.state[PHI] == pytest.approx(0.2)
     assert command.thrust * math.cos(0.2) == pytest.approx(level.thrust, rel=1e-6)
     assert command.body_rate[2] == pytest.approx(-0.3 * PARAMS.piloting.yaw_gains[0], rel=1e-6)

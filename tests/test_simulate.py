@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fiplib.dynamics import PLANT, prediction_model, rk4
 from fiplib.estimators.base import Estimate
 from fiplib.mpc import Status
-from fiplib.params import AXES, GRAVITY, A, B, Params, X, Y
+from fiplib.params import AXES, GRAVITY, PHI, THETA, A, B, Params, X, Y
 from fiplib.pilot import Circle, Command, Hover
 from fiplib.recording import EPOCH, Event, Flight, MemoryRecorder, Poses, Series
 from fiplib.simulate import SCENARIOS, LengthUpdates, Mocap, Plant, Push, Scenario, SimulatedVehicle, fly
@@ -54,8 +55,18 @@ def test_the_noise_of_motion_capture_is_one_stream_however_much_is_drawn_at_once
     rng = np.random.default_rng(1)
     rng.normal(size=2)  # the lean at the start
     noise = rng.normal(size=(count, 12))[:, :3] * PARAMS.simulation.position_noise
-    truth = short.truth_state.values[:, [X, Y, 10]]
-    np.testing.assert_array_equal(short.vehicle.position, (truth + noise).astype(np.float32))
+    truth = short.truth_state.values
+    turned = Rotation.from_euler("XYZ", np.column_stack([truth[:, [PHI, THETA]], np.zeros(count)]))  # it does not yaw
+    frame = truth[:, [X, Y, 10]] - PARAMS.vehicle.seat_height * turned.as_matrix()[:, :, 2]
+    # single precision rounds numbers of 1 to 2 m to 0.12 um
+    np.testing.assert_allclose(short.vehicle.position, frame + noise, rtol=0, atol=1e-7)
+    at_seat = flown(duration=0.1, params=PARAMS.replace(simulation__vehicle_origin="seat"))
+    np.testing.assert_array_equal(
+        at_seat.vehicle.position,
+        (at_seat.truth_state.values[:, [X, Y, 10]] + noise[:24]).astype(np.float32),
+    )
+    with pytest.raises(ValueError, match="vehicle_origin must be 'frame' or 'seat', not 'tail'"):
+        flown(params=PARAMS.replace(simulation__vehicle_origin="tail"))
 
 
 def test_rod_and_attitude_stay_of_unit_length_over_ten_violent_seconds():
@@ -202,7 +213,8 @@ def test_the_noise_levels_of_the_filter_are_those_measured_in_the_simulator():
 
     The diagonal is given to one digit, and one flight of 25 s tells a variance to about 10 %: within a factor of 2.
     """
-    params = PARAMS.replace(pendulum__gyration_ratio=0.0)  # the model's own error, not that of the rod's inertia
+    # the model's own error, not that of the rod's inertia or of its seat
+    params = PARAMS.replace(pendulum__gyration_ratio=0.0, vehicle__seat_height=0.0, piloting__seat_height=0.0)
     flight = flown(duration=25.0, reference=Circle(0.4, 8.0), params=params)
     states, commands = flight.state.values, flight.command.values
     exposed = flight.time(flight.state) - params.simulation.mocap_latency

@@ -4,7 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from fiplib.bags.csv_files import POSE, UNITS, Stated
+from fiplib.bags.conventions import QUATERNIONS, UNITS, UPWARDS
+from fiplib.bags.csv_files import POSE, Stated
+from fiplib.bags.roles import BODIES
 from fiplib.recording import ROLES
 
 
@@ -17,6 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
         command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
+        poses = command.add_argument_group("conventions of the poses", "Where they differ from z up, metres, x y z w.")
+        poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
+        poses.add_argument("--unit", choices=UNITS, help="of positions")
+        poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
+        poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER",
+                           help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
     rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
     rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
     rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
@@ -41,3 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 def stated(options: argparse.Namespace) -> Stated:
     """Return what the options of convert say of a CSV file."""
     return Stated(*(getattr(options, name) for name in Stated._fields))
+
+
+def reading(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options of info and length say of a bag: keyword arguments of ``bags.read``."""
+    orders: dict[str, str] = {}
+    for text in options.quaternion:
+        body, _, order = text.rpartition("=")
+        orders |= {body: order} if body else dict.fromkeys(BODIES, order)
+    topics = dict(pair.partition("=")[::2] for pair in options.topic)
+    return {"topics": topics, "up": options.up, "unit": options.unit, "swap": options.swap, "quaternion": orders}

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fiplib.bags.conventions import UNITS
 from fiplib.bags.roles import BODIES, Place, two_bodies
 from fiplib.bags.writer import BagRecorder
 from fiplib.params import NANO
@@ -21,7 +22,7 @@ from fiplib.recording import BagError
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 MAPPING = f"time=T,vehicle={','.join(POSE)},pendulum={','.join(POSE)}"
-UNITS = {"m": 1.0, "mm": 1e-3}
+
 _HEADER_UNITS = {"meters": ("m", 1.0), "centimeters": ("cm", 1e-2), "millimeters": ("mm", 1e-3)}
 _HEAD = 50  # rows in which the header is looked for
 _RATES = (10.0, 10_000.0)  # Hz of any motion capture: outside, the times are not in seconds

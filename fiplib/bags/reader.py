@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fiplib.bags.conventions import restated
 from fiplib.bags.decoding import RATES, Decoder
 from fiplib.bags.mending import mended
 from fiplib.bags.messages import IGNORE_RATES, SIDECAR, genuine, typestore
@@ -35,7 +36,15 @@ from fiplib.recording import (
 )
 
 
-def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
+def read(
+    path: str | Path,
+    topics: Mapping[str, str] | None = None,
+    *,
+    up: str | None = None,
+    unit: str | None = None,
+    swap: bool = False,
+    quaternion: str | Mapping[str, str] | None = None,
+) -> Flight:
     """Read a flight from a ROS 2 bag.
 
     Args:
@@ -43,6 +52,8 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
         topics: names of topics that differ from ``TOPICS``, by role: ``{"vehicle": "/vrpn_mocap/quad/pose"}``, or
             ``"/tf:quad"`` for one of several bodies in a topic. What is not named and not there is guessed from types
             and names, and said in ``Flight.notes``.
+        up, unit, swap, quaternion: conventions of the poses that differ from ours, as ``conventions.restated`` takes
+            them; ``checks.findings`` says which mend a flight.
 
     Raises:
         BagError: the bag is missing, damaged, or does not hold what the bag contract says.
@@ -73,7 +84,7 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
     for role in BODIES:
         if not decoded.get(role):
             raise BagError(f"{path}: topic {places[role]} ({role}) is empty: was the body tracked and its name right?")
-    return Flight(
+    flight = Flight(
         path=path,
         metadata=metadata,
         events=decoded.pop("events", ()),
@@ -82,6 +93,7 @@ def read(path: str | Path, topics: Mapping[str, str] | None = None) -> Flight:
         notes=tuple(notes),
         **{role: decoded.get(role) for role in ROLES if role != "events"},
     )
+    return restated(flight, up=up, unit=unit, swap=swap, quaternion=quaternion)
 
 
 def _damage(path: Path, error: Exception) -> str:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from fiplib.mpc import MPC
-from fiplib.params import GRAVITY, Params, Piloting
+from fiplib.params import GRAVITY, Params
 
 FREQUENCIES = 400
 """Points of a frequency response, evenly spaced on a logarithmic axis from ``SLOWEST`` to the Nyquist frequency: 2.6 %
@@ -123,9 +123,11 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     """``dynamics.coupled_plant`` linearised about the upright hover, one axis: A (6, 6) and B (6, 1).
 
     The state is (s, s', d, d', tilt, rate), the input the commanded body rate. With r = l/2 and
-    kappa = (m + m_p) / (m + m_p (1 - lambda)), by how much the vehicle is lighter across the rod than along it:
+    kappa = (m + m_p) / (m + m_p (1 - lambda)), by how much the vehicle is lighter across the rod than along it, and
+    eta = m h / (m + m_p) of the seat's height h above the vehicle's centre of mass:
 
-        s'' = g (kappa tilt + (1 - kappa) d/r),   d'' = lambda kappa g (d/r - tilt),   rate' = (command - rate) / lag.
+        s'' = g (kappa tilt + (1 - kappa) d/r) + kappa eta rate',   rate' = (command - rate) / lag,
+        d'' = lambda kappa (g d/r - g tilt - eta rate').
     """
     m, m_p, r = params.vehicle.mass, params.pendulum.mass, params.pendulum.length / 2
     factor = params.pendulum.inertia_factor
@@ -135,6 +137,9 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     a[1, 4], a[1, 2] = GRAVITY * kappa, GRAVITY * (1 - kappa) / r
     a[3, 2], a[3, 4] = factor * kappa * GRAVITY / r, -factor * kappa * GRAVITY
     a[5, 5], b[5, 0] = -1 / params.simulation.rate_lag, 1 / params.simulation.rate_lag
+    seat = kappa * m * params.vehicle.seat_height / (m + m_p)
+    for row, share in ((1, seat), (3, -factor * seat)):
+        a[row, 5], b[row, 0] = share * a[5, 5], share * b[5, 0]
     return a, b
 
 
@@ -155,7 +160,7 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
 
     # Within a tick: plant (6), last positions (2), velocities (2), commands from this tick's to that of `ticks` ago
     size = 11 + ticks
-    observe, tick = _observer(params.piloting, size), np.eye(size)
+    observe, tick = _observer(params, size), np.eye(size)
     a, b = linear_plant(params)
     held = expm(np.block([[a, b], [np.zeros((1, 7))]]) / rates[0])
     for substep in range(frames * substeps):
@@ -168,18 +173,22 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
     # Between ticks the oldest command has done its work; the new one comes in as the input
     kept = np.delete(np.eye(size), 10, axis=1)
     gain = (mpc or MPC(params)).prepare(used_length)[axis].gains[0]
-    sees = (observe @ kept)[[0, 8, 2, 9, 4]]
+    sees = (observe @ kept)[[6, 8, 7, 9, 4]]
     open_loop = control.ss((tick @ kept)[:-1], tick[:-1, 10:11], gain[None] @ sees, 0.0, 1.0 / rates[2])
     return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)
 
 
-def _observer(piloting: Piloting, size: int) -> NDArray:
-    """What a frame does to plant (6), last positions (2) and velocities (2), as ``pilot.Observer``."""
+def _observer(params: Params, size: int) -> NDArray:
+    """What a frame does to plant (6), last positions (2) and velocities (2), as ``pilot.Observer``.
+
+    A pilot that is mistaken about the seat's height takes a share of the tilt for position and offset.
+    """
+    piloting, mistaken = params.piloting, params.piloting.seat_height - params.seat_above_tracked
     share = 1.0 - math.exp(-2.0 * math.pi * piloting.velocity_cutoff / piloting.mocap_rate)
     observe = np.eye(size)
-    for axis, position in enumerate((0, 2)):
+    for axis, (position, tilt) in enumerate(((0, mistaken), (2, -mistaken))):
         last, velocity = 6 + axis, 8 + axis
-        observe[last, [position, last]] = 1.0, 0.0
-        observe[velocity, [position, last, velocity]] = np.array([1.0, -1.0, 0.0]) * share * piloting.mocap_rate
+        observe[last, [position, 4, last]] = 1.0, tilt, 0.0
+        observe[velocity, [position, 4, last]] = np.array([1.0, tilt, -1.0]) * share * piloting.mocap_rate
         observe[velocity, velocity] = 1.0 - share
     return observe

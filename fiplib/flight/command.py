@@ -74,6 +74,8 @@ def chosen(options: argparse.Namespace) -> tuple[Scenario, Limits]:
     params, limits = changed(scenario.params, Limits(), map(assignment, options.set))
     seed = scenario.seed if options.seed is None else options.seed
     duration = scenario.duration if options.duration is None else options.duration
+    if duration * params.piloting.mocap_rate < 1.0:
+        raise ValueError(f"--duration {duration:g}: shorter than one frame of motion capture; give more seconds")
     return dataclasses.replace(scenario, params=params, seed=seed, duration=duration), limits
 
 

@@ -13,8 +13,12 @@ class Safety:
     """Limits of the failsafe (``failsafe.Guard``) and of the command sender. None was tried on a real vehicle."""
 
     pose_flag: float = quantity(0.025, "s", "our choice: age of the newest good pose from which on the plan is flown")
-    pose_level: float = quantity(0.1, "s", "our choice, as MRS's odometry timeout: age at which to level and descend")
-    pose_disarm: float = quantity(0.5, "s", "our choice, below PX4's 1.0 s without setpoints: age at which to disarm")
+    pose_level: float = quantity(
+        0.1, "s", "our choice, as MRS's odometry timeout: age at which to level and descend", above="pose_flag"
+    )
+    pose_disarm: float = quantity(
+        0.5, "s", "our choice, below PX4's 1.0 s without setpoints: age at which to disarm", above="pose_level"
+    )
     clock_tolerance: float = quantity(
         0.01, "s", "our choice: stamps may be that much ahead of their arrival's usual delay; else a clock has stepped"
     )
@@ -25,7 +29,9 @@ class Safety:
     turn: float = quantity(0.17, "rad", "our choice: 10 deg between frames; 1 mrad is the noise")
     turn_rate: float = quantity(8.0, "rad/s", "our choice: on top of it per s between frames; commands reach 1.75")
     arm_time: float = quantity(0.5, "s", "our choice: arm checks must hold that long")
-    arm_rate: float = quantity(0.8, "1", "our choice: least share of the expected frames that must arrive to arm")
+    arm_rate: float = quantity(
+        0.8, "1", "our choice: least share of the expected frames that must arrive to arm", within=(0.01, 1)
+    )
     arm_speed: float = quantity(0.3, "m/s", "our choice: vehicle and rod must be still to arm")
     arm_tilt: float = quantity(0.17, "rad", "our choice: 10 deg; the vehicle must be level to arm")
     arm_lean: float = quantity(0.1, "rad", "our choice: 5.7 deg; the rod must stand to arm; pushes reach 6.7 deg")
@@ -57,16 +63,22 @@ class Safety:
     estimator_timeout: float = quantity(
         10.0, "s", "our choice: an estimator's run that takes longer hangs; the GA takes 0.1 s, on a busy machine 2 s"
     )
-    estimator_restarts: int = quantity(3, "1", "our choice: times that the estimator's process is started again")
+    estimator_restarts: int = quantity(
+        3, "1", "our choice: times that the estimator's process is started again", within=(1, 1000)
+    )
     level_gain: float = quantity(4.0, "1/s", "our choice: body rate per tilt when levelling")
     loop_delay: float = quantity(
         0.03, "s", "Betaflight in the loop: 17 to 23 ms of delay and lag, and the radio; commands not yet seen in poses"
     )
     descent: float = quantity(0.5, "m/s", "our choice: speed of the descent when levelled, poses being good")
     descent_gain: float = quantity(2.0, "1/s", "our choice: vertical acceleration per error of the speed of descent")
-    descent_thrust: float = quantity(0.93, "1", "our choice: share of the weight carried when descending without poses")
+    descent_thrust: float = quantity(
+        0.93, "1", "our choice: share of the weight carried when descending without poses", within=(0.1, 1)
+    )
     level_time: float = quantity(6.0, "s", "our choice: longest descent; then disarm wherever the vehicle is")
-    max_thrust: float = quantity(0.6, "1", "our choice: largest normalised thrust ever sent; hovering takes 0.18")
+    max_thrust: float = quantity(
+        0.6, "1", "our choice: largest normalised thrust ever sent; hovering takes 0.18", within=(0.01, 1)
+    )
     send_rate: float = quantity(120.0, "Hz", "paper, section 3: the control rate; the sender repeats at this rate")
     leave_time: float = quantity(
         0.6, "s", "our choice: level-and-disarm frames on leaving; ExpressLRS and Betaflight need 0.5"
@@ -83,18 +95,20 @@ class Radio:
     channels: str = quantity(
         "AETR", "-", "Betaflight's default map: channels 1 to 4 are roll (A), pitch (E), throttle (T), yaw (R)"
     )
-    arm_channel: int = quantity(5, "1", "ExpressLRS: channel 5 (AUX1) is the one switch that every packet carries")
+    arm_channel: int = quantity(
+        5, "1", "ExpressLRS: channel 5 (AUX1) is the one switch that every packet carries", within=(5, 16)
+    )
     arm_time: float = quantity(
         0.2, "s", "our choice: idle so long once armed; Betaflight refuses to arm while the throttle is up", zero=True
     )
     throttle_low: float = quantity(1050.0, "us", "Betaflight's default min_check: at it and below the motors idle")
-    motor_idle: float = quantity(0.055, "1", "Betaflight's default idle: share of the motors' range", zero=True)
+    motor_idle: float = quantity(0.055, "1", "Betaflight's default idle: share of the motors' range", within=(0, 1))
     thrust_curve: float = quantity(
         0.0,
         "1",
         "our choice, to be measured: share of the thrust that goes with the motor command squared, as PX4's "
         "THR_MDL_FAC; 0 is linear, and sends too little rather than too much",
-        zero=True,
+        within=(0, 1),
     )
 
 

@@ -12,7 +12,7 @@ from fiplib.kernels.vehicle import advance, fallen
 
 @compiled(
     "i8(i8, i8, f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:,:,::1],"
-    " f8, f8, f8[::1], f8[::1], f8[::1],"
+    " f8, f8, f8, f8[::1], f8[::1], f8[::1],"
     " f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8, f8, f8[:,::1],"
     " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1])"
 )
@@ -29,6 +29,7 @@ def fly(
     elapsed: NDArray,
     tick_elapsed: NDArray,
     references: NDArray,
+    seat: float,
     length: float,
     cutoff: float,
     memory: NDArray,
@@ -58,7 +59,7 @@ def fly(
         acts: substep at which the command of each tick begins to act, (T,).
         elapsed: since the frame before, in s, (F,); ``tick_elapsed``: since the tick before, (T,).
         references: (T, N + 1, 10).
-        length, cutoff, memory: as in ``observe``.
+        seat, length, cutoff, memory: as in ``observe``.
         pilot, integrals: as in ``answer``.
         model to work: as in ``solve``.
         frames, truths, states, commands, statuses: what is written: (F, 14), (F, 11), (T, 10), (T, 4), (T,).
@@ -75,9 +76,9 @@ def fly(
     while acting < given and acts[acting] < first * substeps:
         acting += 1
     for index in range(first, last):
-        expose(x, about[2], noise[index], frames[index])
+        expose(x, about[2], about[8], noise[index], frames[index])
         true_state(x, about[2], truths[index])
-        observe(frames[index], length, elapsed[index], cutoff, memory, observed)
+        observe(frames[index], seat, length, elapsed[index], cutoff, memory, observed)
         tick = ticks[index]
         if tick >= 0:
             states[tick] = observed[:10]

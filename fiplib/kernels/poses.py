@@ -25,18 +25,32 @@ def _turned(q: tuple, noise: NDArray, first: int) -> tuple:
     return single(x / norm), single(y / norm), single(z / norm), single(w / norm)
 
 
-@compiled("void(f8[::1], f8, f8[::1], f8[::1])")
-def expose(x: NDArray, radius: float, noise: NDArray, frame: NDArray) -> None:
+@compiled()
+def _along_z(q: NDArray, first: int, height: float) -> tuple:
+    """``height`` times the body's z axis of the quaternion at ``first``."""
+    x, y, z, w = q[first], q[first + 1], q[first + 2], q[first + 3]
+    return (
+        height * (2.0 * (x * z + w * y)),
+        height * (2.0 * (y * z - w * x)),
+        height * (1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@compiled("void(f8[::1], f8, f8, f8[::1], f8[::1])")
+def expose(x: NDArray, radius: float, seat: float, noise: NDArray, frame: NDArray) -> None:
     """Write a frame of motion capture (14,): position and attitude of the vehicle, then of the rod.
 
     Args:
         x: the plant's state.
         radius: half the rod's length in m.
+        seat: its height above the vehicle's tracked point in m.
         noise: of both positions in m, then of both attitudes in rad, (12,).
         frame: numbers that single precision can hold.
     """
+    below = _along_z(x, 6, seat)
     for n in range(3):
-        frame[n] = single(x[n] + noise[n])
+        tracked = x[n] - below[n] if seat > 0.0 else x[n]
+        frame[n] = single(tracked + noise[n])
         frame[7 + n] = single(x[n] + radius * x[10 + n] + noise[3 + n])
     frame[3], frame[4], frame[5], frame[6] = _turned((x[6], x[7], x[8], x[9]), noise, 6)
     # shortest rotation that takes the z axis to the rod's direction
@@ -63,12 +77,15 @@ def true_state(x: NDArray, radius: float, truth: NDArray) -> None:
     truth[10] = x[2]
 
 
-@compiled("void(f8[::1], f8, f8, f8, f8[::1], f8[::1])")
-def observe(frame: NDArray, length: float, elapsed: float, cutoff: float, memory: NDArray, observed: NDArray) -> None:
+@compiled("void(f8[::1], f8, f8, f8, f8, f8[::1], f8[::1])")
+def observe(
+    frame: NDArray, seat: float, length: float, elapsed: float, cutoff: float, memory: NDArray, observed: NDArray
+) -> None:
     """Write the states (10,), then height in m, climb rate in m/s and yaw in rad: ``pilot.Observer``.
 
     Args:
         frame: (14,), as ``expose`` writes it.
+        seat: its height above the vehicle's tracked point in m: positions and offsets are those of the seat.
         length: of the rod, if (a, b) are to be its direction times half the length; 0 for the position of its COM.
         elapsed: since the last frame in s; at 0 and below velocities stay as they are.
         cutoff: of the low-pass filter in Hz.
@@ -76,12 +93,16 @@ def observe(frame: NDArray, length: float, elapsed: float, cutoff: float, memory
         observed: (13,).
     """
     phi, theta, psi = euler_angles(frame, 3)
-    a, b = frame[7] - frame[0], frame[8] - frame[1]
+    place = (frame[0], frame[1], frame[2])
+    if seat > 0.0:
+        above = _along_z(frame, 3, seat)
+        place = (frame[0] + above[0], frame[1] + above[1], frame[2] + above[2])
+    a, b = frame[7] - place[0], frame[8] - place[1]
     if length > 0.0:
         x, y, z, w = frame[10], frame[11], frame[12], frame[13]
         a, b = length * (x * z + w * y), length * (y * z - w * x)
     share = 1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)
-    position = (frame[0], frame[1], a, b, frame[2])
+    position = (place[0], place[1], a, b, place[2])
     for n in range(5):
         if elapsed > 0.0:
             memory[5 + n] += share * ((position[n] - memory[n]) / elapsed - memory[5 + n])

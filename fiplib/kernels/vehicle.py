@@ -13,12 +13,35 @@ FALLEN = math.cos(math.radians(60.0))
 
 
 def plant_constants(params: Params) -> NDArray:
-    """Mass of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, lags and step in s: (7,)."""
+    """Return the constants of plant and motion capture, (9,).
+
+    They are the masses of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, the lags of rates
+    and thrust and the plant's step in s, and the height of the seat above the vehicle's centre of mass and above the
+    point that motion capture tracks, m.
+
+    Raises:
+        ValueError: parameters that contradict each other: the plant cannot be integrated, or its rod does not stand.
+    """
     vehicle, pendulum, simulation = params.vehicle, params.pendulum, params.simulation
-    lags = simulation.rate_lag, simulation.thrust_lag
-    return np.array(
-        (vehicle.mass, pendulum.mass, pendulum.length / 2, pendulum.inertia_factor, *lags, 1.0 / simulation.plant_rate)
-    )
+    masses, lags = (vehicle.mass, pendulum.mass), (simulation.rate_lag, simulation.thrust_lag)
+    rod, seats = (pendulum.length / 2, pendulum.inertia_factor), (vehicle.seat_height, params.seat_above_tracked)
+    frames = simulation.plant_rate / params.piloting.mocap_rate
+    if not math.isclose(frames, max(1, round(frames)), rel_tol=1e-9):
+        raise ValueError(
+            "simulation.plant_rate must be a whole multiple of piloting.mocap_rate, not "
+            f"{simulation.plant_rate:g} and {params.piloting.mocap_rate:g} Hz"
+        )
+    if min(lags) * simulation.plant_rate < 0.4:  # RK4 is stable for steps up to 2.78 lags
+        raise ValueError(
+            "simulation.rate_lag and thrust_lag must be at least 0.4 / simulation.plant_rate = "
+            f"{0.4 / simulation.plant_rate:.3g} s, not {lags[0]:g} and {lags[1]:g} s"
+        )
+    if simulation.initial_lean > pendulum.length / 12:  # six standard deviations are half the rod
+        raise ValueError(
+            "simulation.initial_lean must be at most pendulum.length / 12 = "
+            f"{pendulum.length / 12:.3g} m, not {simulation.initial_lean:g} m"
+        )
+    return np.array((*masses, *rod, *lags, 1.0 / simulation.plant_rate, *seats))
 
 
 @compiled()
@@ -39,11 +62,21 @@ def _plant_rate(x: NDArray, command: NDArray, force: NDArray, about: NDArray, ra
     outward, thrust = m_p * radius * spin, x[19]
     f = (force[0], force[1], force[2])
     f_across = _across(f, q)
+    a, b, c = x[16], x[17], x[18]
     total = (
         thrust * body_z[0] + f[0] + outward * q[0] - factor * f_across[0],
         thrust * body_z[1] + f[1] + outward * q[1] - factor * f_across[1],
         thrust * body_z[2] + f[2] + outward * q[2] - factor * f_across[2],
     )
+    if about[7] > 0.0:  # the seat's share, m h e''; without it not an operation changes
+        push = m * about[7]
+        u, v, z = a * c + (command[1] - b) / rate_lag, b * c - (command[0] - a) / rate_lag, -(a * a + b * b)
+        t = (2.0 * (j * z - k * v), 2.0 * (k * u - i * z), 2.0 * (i * v - j * u))
+        total = (
+            total[0] + push * (u + w * t[0] + (j * t[2] - k * t[1])),
+            total[1] + push * (v + w * t[1] + (k * t[0] - i * t[2])),
+            total[2] + push * (z + w * t[2] + (i * t[1] - j * t[0])),
+        )
     total_across, share = _across(total, q), m_p * factor / (m + m_p * (1.0 - factor))
     alpha = (
         (total[0] + share * total_across[0]) / (m + m_p),
@@ -51,7 +84,6 @@ def _plant_rate(x: NDArray, command: NDArray, force: NDArray, about: NDArray, ra
         (total[2] + share * total_across[2]) / (m + m_p),
     )
     pull = _across((alpha[0] - f[0] / m_p, alpha[1] - f[1] / m_p, alpha[2] - f[2] / m_p), q)
-    a, b, c = x[16], x[17], x[18]
     rate[6] = 0.5 * (w * a + j * c - k * b)
     rate[7] = 0.5 * (w * b + k * a - i * c)
     rate[8] = 0.5 * (w * c + i * b - j * a)

@@ -93,8 +93,8 @@ def test_the_gain_margins_are_where_the_closed_loop_turns_unstable(used, true, g
 def test_the_delay_margin_is_the_delay_at_which_the_closed_loop_turns_unstable(used, gyration_ratio):
     margin = loop(used, 1.0, gyration_ratio).margins.delay
     substep = 1.0 / PARAMS.simulation.plant_rate
-    # the loop takes delays in whole substeps, of 1 ms
-    for extra, unstable in ((math.floor(margin / substep), False), (math.ceil(margin / substep), True)):
+    # the loop takes delays in whole substeps, of 1 ms; 1 %: the crossing is interpolated
+    for extra, unstable in ((math.floor(0.99 * margin / substep), False), (math.ceil(1.01 * margin / substep), True)):
         delay = PARAMS.simulation.rate_delay + extra * substep
         delayed = PARAMS.replace(simulation__rate_delay=delay)
         assert (loop(used, 1.0, gyration_ratio, delayed).growth_rate > 0.0) == unstable
@@ -137,6 +137,8 @@ def test_without_delay_lag_and_filter_a_fast_loop_has_the_eigenvalues_of_continu
         piloting__control_rate=9600.0,
         piloting__velocity_cutoff=1e6,
         pendulum__mass=1e-9,
+        vehicle__seat_height=0.0,
+        piloting__seat_height=0.0,
     )
     linear = loop(1.0, 1.0, POINT, fast)
     a, b = dynamics.axis_matrices(1.0)
@@ -144,6 +146,25 @@ def test_without_delay_lag_and_filter_a_fast_loop_has_the_eigenvalues_of_continu
     slow = np.log(linear.eigenvalues[:5]) / linear.step
     # what is left of lag and sampling, 0.2 ms, beside the fastest mode of about 6 1/s
     np.testing.assert_allclose(np.sort_complex(slow), expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("stated", [0.04, 0.1])
+def test_a_flight_whose_pilot_is_mistaken_about_its_seat_follows_the_linear_loop(stated):
+    params = PARAMS.replace(
+        simulation__position_noise=0.0,
+        simulation__attitude_noise=0.0,
+        simulation__initial_lean=1e-3,
+        piloting__seat_height=stated,
+    )
+    truth = fly(Scenario("small lean", "", 1.0, Hover(), params=params, seed=3)).truth_state.values[::2]
+    flown, linear = truth[:, list(AXES[0].states)], margins.closed_loop(1.0, params).open_loop
+    state, followed = np.zeros(linear.nstates), []
+    state[[2, 7]] = flown[0, 2]
+    for _ in flown:
+        followed.append(state[:5])
+        state = (linear.A - linear.B @ linear.C) @ state
+    # single precision of positions about 1 m in a lean of 1e-3, as above
+    assert (np.abs(flown - followed).max(axis=0) < 3e-3 * np.abs(followed).max(axis=0)).all()
 
 
 def test_rates_that_do_not_fit_and_other_measurements_are_refused():

@@ -23,6 +23,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fiplib import bags
 from fiplib.dynamics import PLANT, coupled_plant
@@ -190,9 +191,47 @@ def test_vehicle_and_rod_move_as_in_the_coupled_plant_under_the_same_thrust():
     force, command = rng.normal(size=3), rng.uniform(size=4)
     thrust = PARAMS.vehicle.max_thrust / 4 * float(np.sum(x[SPEEDS] ** 2))
     ours = np.array(motor_plant(PARAMS, AIRFRAME)(x, command, force)).ravel()
-    theirs = np.array(coupled_plant(PARAMS)([*x[:19], thrust], np.zeros(4), force)).ravel()
+    # the lag's command under which the plant's rates change as the motors' torques make them
+    commanded = [*(x[16:19] + PARAMS.simulation.rate_lag * ours[16:19]), thrust]
+    theirs = np.array(coupled_plant(PARAMS)([*x[:19], thrust], commanded, force)).ravel()
     # the same expressions, up to the rounding of the thrust
     np.testing.assert_allclose(ours[:16], theirs[:16], rtol=1e-12, atol=1e-12)
+
+
+def test_vehicle_and_rod_change_momentum_and_angular_momentum_by_the_forces_on_them():
+    """Newton and Euler for both bodies together, about the world's origin: what the seat transmits cancels."""
+    rng, m, rod = np.random.default_rng(8), PARAMS.vehicle.mass, PARAMS.pendulum
+    r, h, turn = rod.length / 2, PARAMS.vehicle.seat_height, rod.mass * rod.gyration_ratio * rod.length**2
+    plant, inertia = motor_plant(PARAMS, AIRFRAME), np.array(AIRFRAME.inertia)
+    for _ in range(20):
+        x = state(rng.normal(size=3), 0.4 + 0.05 * rng.normal(size=4))
+        x[:10] = rng.normal(size=10)
+        x[6:10] /= np.linalg.norm(x[6:10])
+        q = rng.normal(size=3)
+        x[10:13] = q / np.linalg.norm(q)
+        x[13:16] = np.cross(rng.normal(size=3), x[10:13])
+        force = rng.normal(size=3)
+        # motors that keep their speed: no reaction to their acceleration
+        x_dot = np.array(plant(x, x[SPEEDS], force)).ravel()
+
+        def momenta(x: np.ndarray) -> np.ndarray:
+            turned = Rotation.from_quat(x[6:10])
+            omega = turned.apply(x[16:19])
+            place, velocity = x[:3] - h * turned.apply([0, 0, 1]), x[3:6] - h * np.cross(omega, turned.apply([0, 0, 1]))
+            com, com_velocity = x[:3] + r * x[10:13], x[3:6] + r * x[13:16]
+            own = turned.apply(inertia * x[16:19]) + turn * np.cross(x[10:13], x[13:16])
+            linear = m * velocity + rod.mass * com_velocity
+            return np.r_[linear, own + m * np.cross(place, velocity) + rod.mass * np.cross(com, com_velocity)]
+
+        step = 1e-6
+        change = (momenta(x + step * x_dot) - momenta(x - step * x_dot)) / (2 * step)
+        turned, wrench = Rotation.from_quat(x[6:10]), mixing(PARAMS, AIRFRAME) @ (8.0 * x[SPEEDS] ** 2)
+        e, com = turned.apply([0, 0, 1]), x[:3] + r * x[10:13]
+        lift, fall = wrench[0] * e, np.array([0, 0, -GRAVITY])
+        place = x[:3] - h * e
+        about = np.cross(place, lift + m * fall) + turned.apply(wrench[1:]) + np.cross(com, force + rod.mass * fall)
+        # rounding of momenta of about 10 over 2 us
+        np.testing.assert_allclose(change, np.r_[lift + force + (m + rod.mass) * fall, about], atol=1e-7)
 
 
 def test_a_hovering_vehicle_stays():
@@ -202,7 +241,8 @@ def test_a_hovering_vehicle_stays():
 
 
 def test_without_torque_angular_momentum_and_energy_of_the_rotation_are_kept():
-    plant = plant_of(Steady([0.0] * 4))
+    # a seat at the centre of mass, where the rod exerts no torque
+    plant = plant_of(Steady([0.0] * 4), PARAMS.replace(vehicle__seat_height=0.0))
     plant.held = False
     plant.x[PLANT["body_rate"]] = (4.0, 0.5, 3.0)
     inertia = np.array(AIRFRAME.inertia)

