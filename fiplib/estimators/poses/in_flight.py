@@ -10,7 +10,7 @@ from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.filter import LANES, LEVER, run
-from fiplib.estimators.poses.knowledge import Knowledge
+from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.rows import Body, rows_of
 from fiplib.estimators.poses.stream import Stream
 from fiplib.estimators.windows import RawPoses, RawWindow
@@ -20,13 +20,14 @@ NOTHING = Body(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 def knowledge_in_flight(params: Params) -> Knowledge:
-    """Return what ``params`` say, without the measured distance of the two tracked points.
+    """Return what ``params`` say, the pilot's seat among it, without the measured distance of the two tracked points.
 
     Half the length could be read off that distance at once where the seat's height is known, without any motion. The
     paper's states do not hold it, and what the controller needs is the rod that falls as this one does: the length in
     flight comes from motion alone.
     """
-    return replace(Knowledge.of(params), distance_tolerance=math.inf)
+    seat = Told(params.piloting.seat_height, params.piloting.seat_tolerance)
+    return replace(Knowledge.of(params), seat_height=seat, distance_tolerance=math.inf)
 
 
 @functools.cache
