@@ -37,6 +37,7 @@ PRODUCTS = {
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
     "fig14-growth": Product("fiplib.studies.benchmarks:fig14_growth", benchmarks=("growth",)),
+    "fig15-ablation": Product("fiplib.studies.ablation:fig15_ablation", studies=("ablation",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -51,6 +52,7 @@ PRODUCTS = {
     "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
+    "table13-ablation": Product("fiplib.studies.ablation:table13_ablation", studies=("ablation",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

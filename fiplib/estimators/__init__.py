@@ -8,6 +8,7 @@ it is imported when it is first called.
 What they do with the same window:
 
 - ``ga``, ``ga_improved``, ``grid``, ``scalar`` search the same fitness (``kalman.fitness``) by different means.
+- ``ga_poses`` searches another fitness by the means of ``ga``: the profile likelihood of the poses as measured.
 - ``ekf``, ``ukf`` estimate the states and the length together, forwards in time, the length being one more state.
 - ``moving_horizon`` fits all states of the window and the length together, by nonlinear programming.
 - ``recursive_least_squares``, ``concurrent_learning`` regress d'' + g tilt = (1/l) 2 g d, with d'' from differences of
@@ -22,6 +23,7 @@ from fiplib.estimators.base import Estimator
 ESTIMATORS = {
     "ga": Estimator("genetic:ga", "states"),
     "ga_improved": Estimator("genetic:ga_improved", "states"),
+    "ga_poses": Estimator("genetic:ga_poses", "raw"),
     "grid": Estimator("grid:grid", "states"),
     "scalar": Estimator("brent:scalar", "states"),
     "ekf": Estimator("ekf:ekf", "states"),

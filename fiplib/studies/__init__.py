@@ -34,11 +34,12 @@ STUDIES = {
     "estimators": "fiplib.studies.estimators",
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
+    "ablation": "fiplib.studies.ablation",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "ablation")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

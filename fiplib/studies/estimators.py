@@ -37,7 +37,7 @@ KEYS = ("excitation", "gyration_ratio", "seed")
 
 EXCITATIONS = {"circle-0.4": Circle(0.4, 8.0), "circle-0.8": Circle(0.8, 9.0), "hover": Hover()}
 
-UNKNOWN = {"poses": (CALIBRATION, "inertia_factor")}
+UNKNOWN = dict.fromkeys(("poses", "ga_poses"), (CALIBRATION, "inertia_factor"))
 """What is unknown beside state and length, by estimator."""
 
 DURATION = 22.0
@@ -138,6 +138,7 @@ def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, 
 
 LABELS = {
     "poses": "raw poses alone",
+    "ga_poses": "GA on raw poses",
     "ga": "GA, printed settings",
     "ga_improved": "GA, more exploration",
     "grid": "exhaustive search",

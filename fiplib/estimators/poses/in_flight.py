@@ -8,9 +8,10 @@ import numpy as np
 
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses import checks
-from fiplib.estimators.poses.estimate import estimate
+from fiplib.estimators.poses.estimate import estimate, problem_of
 from fiplib.estimators.poses.filter import LANES, LEVER, run
 from fiplib.estimators.poses.knowledge import Knowledge, Told
+from fiplib.estimators.poses.profile import Profile
 from fiplib.estimators.poses.rows import Body, rows_of
 from fiplib.estimators.poses.stream import Stream
 from fiplib.estimators.windows import RawPoses, RawWindow
@@ -28,6 +29,21 @@ def knowledge_in_flight(params: Params) -> Knowledge:
     """
     seat = Told(params.piloting.seat_height, params.piloting.seat_tolerance)
     return replace(Knowledge.of(params), seat_height=seat, distance_tolerance=math.inf)
+
+
+def body_of(poses: RawPoses, origin: int) -> Body:
+    """Return poses with their times in s since ``origin`` ns."""
+    return Body((poses.stamp - origin) / NANO, poses.position, poses.axis)
+
+
+def profile_of(window: RawWindow, params: Params, inertia_factor: Told | None = None) -> Profile:
+    """Return a window's profile likelihood of the length, with the knowledge in flight or another inertia factor.
+
+    Raises Refusal: too few poses, or bodies that are no vehicle and rod.
+    """
+    knowledge = replace(knowledge_in_flight(params), inertia_factor=inertia_factor)
+    problem = problem_of(*(body_of(poses, int(window.vehicle.stamp[0])) for poses in window), knowledge, [])
+    return Profile(problem, (params.estimation.length_min, params.estimation.length_max))
 
 
 @functools.cache
@@ -83,7 +99,7 @@ class InFlight:
 
     def _fresh(self, body: RawPoses, seen: int) -> Body:
         kept = body.stamp > seen
-        return Body((body.stamp[kept] - self._origin) / NANO, body.position[kept], body.axis[kept])
+        return body_of(RawPoses(*(column[kept] for column in body)), self._origin)
 
     def _answer(self, stream: Stream, knowledge: Knowledge) -> Estimate:
         """The stream's length, unless something speaks against it."""
