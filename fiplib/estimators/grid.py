@@ -28,15 +28,15 @@ def best_length(window: Window, params: Params) -> float:
     return search(lambda lengths: kalman.fitness(lengths, window, params.estimation), params.estimation)
 
 
-def search(fitness_of: Callable[[NDArray], NDArray], estimation: Estimation) -> float:
-    """Return the length in m with the smallest fitness: all in steps of 1 mm, then every code about the best of them.
+def search(fitness_of: Callable[[NDArray], NDArray], estimation: Estimation, step: float = 1e-3) -> float:
+    """Return the length in m with the smallest fitness: all in steps of ``step`` m, then every code about the best.
 
-    The minimum of a window is centimetres wide, so nothing hides between the steps.
+    The minimum of a window is centimetres wide, so nothing hides between steps of 1 mm.
     """
     chromosome = Chromosome.of(estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
-    coarse = lengths[:: max(1, round(1e-3 / estimation.resolution))]
-    near = lengths[np.abs(lengths - coarse[fitness_of(coarse).argmin()]) < 2e-3]
+    coarse = lengths[:: max(1, round(step / estimation.resolution))]
+    near = lengths[np.abs(lengths - coarse[fitness_of(coarse).argmin()]) < 2 * step]
     return float(near[fitness_of(near).argmin()])
 
 

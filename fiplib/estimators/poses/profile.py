@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from fiplib.estimators.poses.filter import LANES, LE, R, run
 from fiplib.estimators.poses.fit import Problem, maximise
 
-KNOTS, NEAR = 16, 0.2
+KNOTS, NEAR = 12, 0.2
 """Lengths, evenly spread in their logarithm, at which all other parameters are fitted; and how close to the maximum, in
 the logarithm, they are fitted well. Further off the fitness is larger by thousands, and a few more do not matter."""
 
