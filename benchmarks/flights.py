@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.harness import Absent, Contender, Row, compare, main, needs, rate
-from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
 from fiplib.params import GRAVITY, Params
 from fiplib.pilot import Circle
 from fiplib.recording import Flight
@@ -190,10 +190,7 @@ def substep(params: Params) -> ca.Function:
     """One RK4 step of the plant, then the projection onto unit quaternion and direction."""
     x, command, force = ca.SX.sym("x", 20), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
     after = rk4(coupled_plant(params), 1.0 / params.simulation.plant_rate)(x, command, force)
-    attitude, q, q_dot = after[PLANT["attitude"]], after[PLANT["direction"]], after[PLANT["direction_rate"]]
-    q = q / ca.norm_2(q)
-    unit = ca.vertcat(after[:6], attitude / ca.norm_2(attitude), q, q_dot - q * ca.dot(q, q_dot), after[16:])
-    return ca.Function("substep", [x, command, force], [unit])
+    return ca.Function("substep", [x, command, force], [projected(after)])
 
 
 def generated(folder: Path, params: Params) -> type[CasadiPlant]:
@@ -272,7 +269,7 @@ def measure(quick: bool) -> list[Row]:
 
 def batch(duration: float, seeds: list[int]) -> list[Row]:
     """All flights in one compiled batch, beside one by one."""
-    from fiplib.batch import fly_many
+    from fiplib.studies.batch import fly_many
 
     scenarios = [scenario(duration, seed) for seed in seeds]
 

@@ -3,6 +3,7 @@
 import argparse
 
 from fiplib.bags import arguments
+from fiplib.bags.checks import findings
 from fiplib.bags.convert import convert
 from fiplib.bags.info import describe
 from fiplib.bags.reader import read
@@ -33,5 +34,5 @@ def run(options: argparse.Namespace) -> int:
         return 0
     found = replay.length_from_poses(flight, **report.stated(options))
     say = report.in_json if options.json else report.sentences
-    print(say(found, flight.notes))
+    print(say(found, flight.notes, findings(flight)))
     return 0 if found.reason is None else 3

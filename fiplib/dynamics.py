@@ -164,6 +164,17 @@ def coupled_plant(params: Params) -> ca.Function:
     return ca.Function("plant", [x, command, force], [x_dot], ["x", "command", "force"], ["x_dot"])
 
 
+def projected(x: ca.SX) -> ca.SX:
+    """Return the plant's state with quaternion and direction of unit length, and the direction's rate across it.
+
+    What the plant does after every step; without it errors of the length of the direction grow faster than the rod
+    falls. ``x`` may be longer than the 20 states.
+    """
+    attitude, q, q_dot = (x[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
+    q = q / ca.norm_2(q)
+    return ca.vertcat(x[:6], attitude / ca.norm_2(attitude), q, q_dot - q * ca.dot(q, q_dot), x[16:])
+
+
 def z_axis(x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any]:
     """Third column of the rotation matrix of the unit quaternion (x, y, z, w), of numbers, arrays or symbols."""
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
@@ -185,6 +196,17 @@ def body_z_acceleration(q: ca.SX, body_rate: ca.SX, rate_dot: ca.SX) -> ca.SX:
 def body_z_of(q: ArrayLike) -> NDArray:
     """Return the body's z axis in the world, (3,), of a unit quaternion (4,) as x, y, z, w: ``body_z`` in numbers."""
     return np.array(z_axis(*(float(value) for value in q)))
+
+
+def seat_position(position: NDArray, orientation: NDArray, height: float) -> NDArray:
+    """Return where the rod's seat is, (..., 3) in m, ``height`` m above a vehicle's tracked point along its body z.
+
+    ``position`` (..., 3) in m and ``orientation`` (..., 4), a quaternion (x, y, z, w), are the vehicle's.
+    """
+    if height == 0.0:
+        return position
+    axis = np.stack(z_axis(*np.moveaxis(orientation, -1, 0)), axis=-1)
+    return position + height * axis
 
 
 def inclination(direction: ArrayLike) -> float:

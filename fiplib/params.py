@@ -73,12 +73,15 @@ WITHIN = {"m": (1e-6, 100), "kg": (1e-9, 100), "s": (1e-6, 3600), "Hz": (1, 1e6)
 """The valid range of a number by its unit, where the parameter itself names none; infinite: no bound."""
 
 
-def quantity(default: Any, unit: str, source: str, zero: bool = False, within: Any = None, above: str = "") -> Any:
+def quantity(default: Any, unit: str, source: str, zero: bool = False, within: Any = None, above: str = "",
+             before: Any = None) -> Any:  # fmt: skip
     """A dataclass field that carries its unit, its source, its valid range, whether it may be zero although the range
-    begins higher, and which parameter of its group it must exceed."""
+    begins higher, which parameter of its group it must exceed, and what held before there was this parameter."""
     low, high = within or WITHIN.get(unit, (1e-12, 1e12))
     span = (low, math.inf if default == math.inf else high)
-    return field(default=default, metadata=dict(unit=unit, source=source, zero=zero, within=span, above=above))
+    return field(
+        default=default, metadata=dict(unit=unit, source=source, zero=zero, within=span, above=above, before=before)
+    )
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Vehicle:
 
     mass: float = quantity(0.569, "kg", "paper, Table 1")
     max_body_rate: float = quantity(math.radians(100.0), "rad/s", "paper, Table 1: 100 deg/s")
-    seat_height: float = quantity(0.08, "m", "paper, section 3: of the rod's seat above the frame; 0: at it", zero=True)
+    seat_height: float = quantity(0.08, "m", "paper, section 3: of the rod's seat above the frame", zero=True)
     max_thrust: float = quantity(32.0, "N", "our choice: about 8 N a motor (2004, 1800 kV, 6S, 3.5 in); scales thrust")
     wheelbase: float = quantity(0.16, "m", "our choice: motor to motor across a 3.5 in Cinewhoop; only drawn")
     propeller_diameter: float = quantity(0.0889, "m", "paper, section 3: 3.5 in; only drawn")
@@ -190,7 +193,7 @@ class Piloting:
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
     seat_height: float = quantity(
-        0.08, "m", "paper, section 3: what the pilot takes the seat to be above the tracked vehicle point", zero=True
+        0.08, "m", "paper, section 3: of the seat above the tracked point, as the pilot has it", zero=True, before=0.0
     )
     seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
@@ -214,7 +217,9 @@ class Simulation:
     thrust_lag: float = quantity(30e-3, "s", "our choice: motor and propeller, first order")
     mocap_latency: float = quantity(1.0 / 240.0, "s", "our choice: exposure to delivery, one frame", zero=True)
     estimation_latency: float = quantity(0.1, "s", "our choice: from request to delivery of an estimate", zero=True)
-    vehicle_origin: str = quantity("frame", "-", "our choice: tracked point: 'frame', below the seat, or 'seat'")
+    vehicle_origin: str = quantity(
+        "frame", "-", "our choice: the vehicle's tracked point: 'frame', below the seat, or 'seat'", before="seat"
+    )
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
@@ -264,12 +269,18 @@ class Groups:
 
     @classmethod
     def from_dict(cls, values: dict[str, dict[str, Any]]) -> Self:
-        """Return the inverse of ``to_dict``; parameters that are absent keep their default.
+        """Return the inverse of ``to_dict``; parameters that are absent have the value that held before there were any.
+
+        Groups that are absent have their defaults.
 
         Raises:
             ValueError: a group or field is not known here, and the group not one of ``ELSEWHERE``.
         """
         own = {group: fields for group, fields in values.items() if group not in cls.ELSEWHERE}
+        for group in dataclasses.fields(cls):
+            older = {f.name: f.metadata["before"] for f in dataclasses.fields(group.type)}
+            if group.name in own:
+                own[group.name] = {k: v for k, v in older.items() if v is not None} | own[group.name]
         return cls().replace(
             **{f"{group}__{key}": _parsed(value) for group, fields in own.items() for key, value in fields.items()}
         )

@@ -37,7 +37,11 @@ PRODUCTS = {
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
     "fig14-growth": Product("fiplib.studies.benchmarks:fig14_growth", benchmarks=("growth",)),
-    "fig15-ablation": Product("fiplib.studies.ablation:fig15_ablation", studies=("ablation",)),
+    "fig15-identifiability": Product(
+        "fiplib.studies.identifiability:fig15_identifiability", bags=("push-hover", "circle-0.8")
+    ),
+    "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
+    "fig18-ablation": Product("fiplib.studies.ablation:fig18_ablation", studies=("ablation",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -52,7 +56,8 @@ PRODUCTS = {
     "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
-    "table13-ablation": Product("fiplib.studies.ablation:table13_ablation", studies=("ablation",)),
+    "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
+    "table15-ablation": Product("fiplib.studies.ablation:table15_ablation", studies=("ablation",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

@@ -128,12 +128,13 @@ class Event(NamedTuple):
 
 
 class TopicInfo(NamedTuple):
-    """One topic of a bag, whether used or not; ``role`` is empty if it is not."""
+    """One topic of a bag; ``role`` is empty if it is not used, ``frames`` are those in which it gives poses."""
 
     topic: str
     type: str
     count: int
     role: str
+    frames: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

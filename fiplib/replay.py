@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSampler
@@ -56,7 +57,7 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
             f"Poses and commands overlap for {max(common, 0.0):.1f} s only, one estimation window is "
             f"{least:.1f} s: record a longer flight, or take a shorter window."
         )
-    return None
+    return why_no_length(flight, commands=True)
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:

@@ -23,7 +23,6 @@ LEVELS = [
     {"estimators", "controllers"},
     {"pilot"},
     {"simulate", "replay"},
-    {"batch"},
     {"reproduction", "flight"},
     {"studies", "teaching"},
     {"bag"},

@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
         poses.add_argument("--unit", choices=UNITS, help="of positions")
         poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
+        poses.add_argument("--stamps", choices=("log",), help="the times of logging stand for the stamps of poses")
         poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER",
                            help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
     rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
@@ -58,4 +59,5 @@ def reading(options: argparse.Namespace) -> dict[str, Any]:
         body, _, order = text.rpartition("=")
         orders |= {body: order} if body else dict.fromkeys(BODIES, order)
     topics = dict(pair.partition("=")[::2] for pair in options.topic)
-    return {"topics": topics, "up": options.up, "unit": options.unit, "swap": options.swap, "quaternion": orders}
+    same = {name: getattr(options, name) for name in ("up", "unit", "swap", "stamps")}
+    return {"topics": topics, "quaternion": orders, **same}

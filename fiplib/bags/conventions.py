@@ -38,6 +38,7 @@ def restated(
     unit: str | None = None,
     swap: bool = False,
     quaternion: str | Mapping[str, str] | None = None,
+    stamps: str | None = None,
 ) -> Flight:
     """Return the flight with its poses in our conventions: z up, m, x, y, z, w, the rod above the vehicle.
 
@@ -48,15 +49,17 @@ def restated(
         unit: of positions, a key of ``UNITS``.
         swap: what was taken for the vehicle is the rod, and the other way round.
         quaternion: order and sense, a key of ``QUATERNIONS``, of both bodies or of some, by their names in ``BODIES``.
+        stamps: "log" takes the times at which poses were logged for their stamps.
 
     Raises:
-        BagError: no such axis, unit, order or body.
+        BagError: no such axis, unit, order, body or stamps.
     """
     orders = quaternion if isinstance(quaternion, Mapping) else dict.fromkeys(BODIES, quaternion or "xyzw")
     bodies = {"vehicle": flight.vehicle, "pendulum": flight.pendulum}
     for what, given, known in (
         ("axis", [up or "z"], UPWARDS), ("unit", [unit or "m"], UNITS),
         ("order of quaternions", orders.values(), QUATERNIONS), ("body", orders, bodies),
+        ("stamps", [stamps or "log"], ("log",)),
     ):  # fmt: skip
         if unknown := [one for one in given if one not in known]:
             raise BagError(f"{flight.path}: no such {what}: {unknown[0]!r}; there are {', '.join(known)}")
@@ -71,10 +74,13 @@ def restated(
         bodies = {body: _turned(poses, up) for body, poses in bodies.items()}
     if unit not in (None, "m"):
         bodies = {body: _frozen(one, one.position * UNITS[unit], one.orientation) for body, one in bodies.items()}
+    if stamps:
+        bodies = {body: _logged(poses) for body, poses in bodies.items()}
     said = {
         f"{up} points up, as stated: the frame is turned": up and up != "z",
         f"positions are in {unit}, as stated": unit and unit != "m",
         "vehicle and rod are swapped, as stated": swap,
+        "the times at which poses were logged stand for their stamps, as stated": stamps,
         **{f"the quaternions of the {body} are {order}, as stated": order != "xyzw" for body, order in orders.items()},
     }
     notes = tuple(note for note, holds in said.items() if holds)
@@ -85,7 +91,10 @@ def restated(
             info._replace(role=info.role.replace("vehicle", "\0").replace("pendulum", "\1").translate(other))
             for info in topics
         )
-    return replace(flight, **bodies, topics=topics, notes=(*flight.notes, *notes)) if notes else flight
+    if not notes:
+        return flight
+    start = min(int(poses.stamp[0]) for poses in bodies.values())
+    return replace(flight, **bodies, start_ns=start, topics=topics, notes=(*flight.notes, *notes))
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -110,6 +119,16 @@ def _turned(poses: Poses, up: str) -> Poses:
     )
     turns = (_frozen(poses, position, orientation) for orientation in (with_body, world_alone))
     return max(turns, key=lambda one: float(np.median(body_z(one)[:, 2])))
+
+
+def _logged(poses: Poses) -> Poses:
+    order = np.argsort(poses.received, kind="stable")
+    stamp = poses.received[order]
+    keep = order[np.diff(stamp, prepend=stamp[0] - 1) > 0]
+    arrays = tuple(np.ascontiguousarray(array[keep]) for array in (poses.position, poses.orientation))
+    for array in (stamp := poses.received[keep], *arrays):
+        array.flags.writeable = False
+    return Poses(stamp, stamp, *arrays)
 
 
 def _frozen(poses: Poses, position: np.ndarray, orientation: np.ndarray) -> Poses:

@@ -194,6 +194,8 @@ class Decoder:
         """Those of the joints, if the type has them."""
         self.poses: dict[str, NDArray] = {}
         """Bodies that occur, each with its first position."""
+        self.frames: set[str] = set()
+        """Frames in which the poses are given, as far as the messages say."""
 
     def take(self, block: Block) -> None:
         """Decode the messages of a block. Raises ValueError or what the library raises; both say what is wrong."""
@@ -252,7 +254,10 @@ class Decoder:
             for body, pick in found:
                 if body not in self.poses:
                     self.poses[body] = form.take(form.sample[None], pick.columns[:3])[0]
-            return tuple(pick for body, pick in found if body == self._body)
+            picks = tuple(pick for body, pick in found if body == self._body)
+            names = (pick.stamp.removesuffix("stamp") + "frame_id" for pick in picks)
+            self.frames |= {form.strings[name] for name in names if name in form.strings}
+            return picks
         if self._kind == JOINTS:
             names = tuple(text for name, text in form.strings.items() if name.startswith("name."))
             if self.names is None:

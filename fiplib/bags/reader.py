@@ -44,6 +44,7 @@ def read(
     unit: str | None = None,
     swap: bool = False,
     quaternion: str | Mapping[str, str] | None = None,
+    stamps: str | None = None,
 ) -> Flight:
     """Read a flight from a ROS 2 bag.
 
@@ -52,8 +53,8 @@ def read(
         topics: names of topics that differ from ``TOPICS``, by role: ``{"vehicle": "/vrpn_mocap/quad/pose"}``, or
             ``"/tf:quad"`` for one of several bodies in a topic. What is not named and not there is guessed from types
             and names, and said in ``Flight.notes``.
-        up, unit, swap, quaternion: conventions of the poses that differ from ours, as ``conventions.restated`` takes
-            them; ``checks.findings`` says which mend a flight.
+        up, unit, swap, quaternion, stamps: conventions of the poses that differ from ours, as
+            ``conventions.restated`` takes them; ``checks.findings`` says which mend a flight.
 
     Raises:
         BagError: the bag is missing, damaged, or does not hold what the bag contract says.
@@ -89,11 +90,11 @@ def read(
         metadata=metadata,
         events=decoded.pop("events", ()),
         start_ns=int(min(decoded["vehicle"].stamp[0], decoded["pendulum"].stamp[0])),
-        topics=_table(source, places),
+        topics=_table(source, places, gathered),
         notes=tuple(notes),
         **{role: decoded.get(role) for role in ROLES if role != "events"},
     )
-    return restated(flight, up=up, unit=unit, swap=swap, quaternion=quaternion)
+    return restated(flight, up=up, unit=unit, swap=swap, quaternion=quaternion, stamps=stamps)
 
 
 def _damage(path: Path, error: Exception) -> str:
@@ -156,12 +157,17 @@ def _gathered(path: Path, source: Source, places: Mapping[str, Place], expected:
     return gathered
 
 
-def _table(source: Source, places: Mapping[str, Place]) -> tuple[TopicInfo, ...]:
+def _table(source: Source, places: Mapping[str, Place], gathered: Mapping[str, Any]) -> tuple[TopicInfo, ...]:
     roles: dict[str, list[str]] = {}
+    frames: dict[str, set[str]] = {}
     for role, place in places.items():
         roles.setdefault(place.topic, []).append(f"{role} ({place.body})" if place.body else role)
+        if role in BODIES and role in gathered:
+            frames.setdefault(place.topic, set()).update(gathered[role].frames)
     return tuple(
-        TopicInfo(topic, stored.type, stored.count, ", ".join(roles.get(topic, ())))
+        TopicInfo(
+            topic, stored.type, stored.count, ", ".join(roles.get(topic, ())), tuple(sorted(frames.get(topic, ())))
+        )
         for topic, stored in sorted(source.topics.items())
     )
 

@@ -11,8 +11,9 @@ the length when everything else is unknown. One pass thus gives the bound for ev
 and its sensitivities grow beyond all digits; every ``REBASE`` frames the unknowns are exchanged for such combinations
 of them that the sensitivities are of size 1 again, which changes no Schur complement.
 
-Measured are position and attitude of the vehicle and the horizontal position of the pendulum's centre of mass. Its
-height is left out unless asked for: it would give half the length away at once.
+Measured are position and attitude of the vehicle, and the horizontal position of the pendulum's centre of mass. The
+height of the seat above the vehicle's tracked point is known exactly. The height of the pendulum's centre of mass is
+left out unless asked for: it would give half the length away at once.
 """
 
 import math
@@ -24,7 +25,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import PLANT, coupled_plant, rk4
+from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
 from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 from fiplib.recording import BagError, Flight
@@ -174,6 +175,7 @@ def _step(params: Params, period: float) -> tuple[ca.Function, ca.Function]:
     """One frame of the plant (state, command, force) -> state, and its Jacobian to the state."""
     step = rk4(coupled_plant(params), period)
     x, u, f = step.sx_in()
+    step = ca.Function("step", [x, u, f], [projected(step(x, u, f))])
     return step, ca.Function("derivative", [x, u, f], [ca.densify(ca.jacobian(step(x, u, f), x))])
 
 
@@ -193,11 +195,15 @@ def _measured(states: NDArray, params: Params, pendulum_height: bool) -> NDArray
     axes = 3 if pendulum_height else 2
     rows = np.zeros((len(states), 6 + axes, 21 + OFFSETS))
     rows[:, range(3), range(3)] = 1 / position
+    x, y, z, w = states[:, PLANT["attitude"]].T
+    # the vehicle's tracked point lies below its seat along the body's z axis: minus that axis' change with the attitude
+    none, below = np.zeros(len(x)), 2 * params.seat_above_tracked / position
+    axis = np.array([[z, w, x, y], [-w, z, y, -x], [-2 * x, -2 * y, none, none]])
+    rows[:, :3, PLANT["attitude"]] = -below * axis.transpose(2, 0, 1)
     for axis in range(axes):
         rows[:, 3 + axis, axis] = 1 / position
         rows[:, 3 + axis, 10 + axis] = params.pendulum.length / 2 / position
         rows[:, 3 + axis, 20] = states[:, 10 + axis] / 2 / position
-    x, y, z, w = states[:, PLANT["attitude"]].T
     # rotation vector of q^-1 dq, twice its vector part
     turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
     rows[:, 3 + axes : 6 + axes, PLANT["attitude"]] = turn.transpose(2, 0, 1)

@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import body_z_of
+from fiplib.dynamics import body_z_of, seat_position
 from fiplib.flight.limits import Limits, Safety
 from fiplib.params import NANO, Params
 from fiplib.recording import Measurement
@@ -59,16 +59,16 @@ class ArmChecks:
 
     def _failure(self, good: Measurement, lean: float, tilt: float, speed: float) -> str | None:
         safety, estimation = self._safety, self._params.estimation
-        rod = good.pendulum_position - good.vehicle_position
+        rod = rod_of(good, self._params)
         reach = float(np.linalg.norm(rod))
         if not 0.5 * estimation.length_min <= reach <= 0.5 * estimation.length_max + 0.1:
-            return f"pendulum not placed: its COM is {reach:.2f} m from the vehicle"
+            return f"pendulum not placed: its COM is {reach:.2f} m from its seat"
         if rod[2] < 0.0:
             return "pendulum below the vehicle: bodies swapped, or not placed"
         if lean > safety.arm_lean:
             return f"pendulum leans {math.degrees(lean):.0f} deg"
         if angle_between(rod, body_z_of(good.pendulum_attitude)) > safety.seat_tolerance:
-            return "pendulum's axis does not point from the vehicle to its COM: wrong body or wrong axes"
+            return "pendulum's axis does not point from its seat to its COM: wrong body or wrong axes"
         if tilt > safety.arm_tilt:
             return f"vehicle tilts {math.degrees(tilt):.0f} deg"
         if reason := outside(good, safety):
@@ -79,6 +79,12 @@ class ArmChecks:
         if speed > safety.arm_speed:
             return f"vehicle or pendulum moves at {speed:.2f} m/s"
         return None
+
+
+def rod_of(good: Measurement, params: Params) -> NDArray:
+    """Return the vector from the rod's seat to its centre of mass, (3,) in m."""
+    seat = seat_position(good.vehicle_position, good.vehicle_attitude, params.piloting.seat_height)
+    return good.pendulum_position - seat
 
 
 def outside(good: Measurement, safety: Safety) -> str | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fiplib.dynamics import body_z_of, euler_angles, inclination
 from fiplib.estimators.windows import RawWindow
-from fiplib.flight.arming import ArmChecks, outside
+from fiplib.flight.arming import ArmChecks, outside, rod_of
 from fiplib.flight.length_gate import LengthGate
 from fiplib.flight.limits import Limits
 from fiplib.flight.pose_monitor import PoseMonitor
@@ -70,7 +70,7 @@ class Guard:
         self._given_up = False  # a final transition has happened
         self._now = self._entered = 0  # the newest time, and that of the last change of mode
         self._good = 0  # good frames in a row
-        self._reach = 0.0  # from the vehicle to the rod's COM on its seat
+        self._reach = 0.0  # from the seat to the rod's COM
         self._last = disarmed(0)
 
     # --- what its driver calls
@@ -92,7 +92,7 @@ class Guard:
             self._refuse(self.monitor.refusal or "")
             return self._between(now)
         self._good += 1
-        rod = good.pendulum_position - good.vehicle_position
+        rod = rod_of(good, self.params)
         self.tilt, self.lean = inclination(body_z_of(good.vehicle_attitude)), inclination(rod)
         if not self._armed and not self._prepared(now, good):
             return self._between(now)
@@ -188,7 +188,7 @@ class Guard:
         if not self._wanted:
             return False
         self.monitor.learning = False
-        self._reach = math.dist(good.pendulum_position, good.vehicle_position)
+        self._reach = float(np.linalg.norm(rod_of(good, self.params)))
         self._lengths.heard(now + round(self.pilot.window_seconds * NANO))
         return self._happens(now, Condition.ARMED, "armed")
 
@@ -199,8 +199,7 @@ class Guard:
             if good.vehicle_position[2] < safety.floor:
                 self._happens(now, Condition.LANDED, "landed")
             return
-        rod = good.pendulum_position - good.vehicle_position
-        reach = math.sqrt(rod @ rod)
+        reach = float(np.linalg.norm(rod_of(good, self.params)))
         if self.lean > safety.fallen_lean:
             self._happens(now, Condition.ROD_FALLEN, f"pendulum fallen: it leans {math.degrees(self.lean):.0f} deg")
         elif abs(reach - self._reach) > safety.seat_play:

@@ -37,11 +37,9 @@ class Safety:
     arm_lean: float = quantity(0.1, "rad", "our choice: 5.7 deg; the rod must stand to arm; pushes reach 6.7 deg")
     arm_distance: float = quantity(0.5, "m", "our choice: from where the trajectory starts, horizontally")
     seat_tolerance: float = quantity(
-        0.35, "rad", "our choice: 20 deg between the rod's axis and the line from vehicle to COM; the seat is not exact"
+        0.35, "rad", "our choice: 20 deg between the rod's axis and the line from seat to COM; the seat is not exact"
     )
-    seat_play: float = quantity(
-        0.1, "m", "our choice: change of the distance from vehicle to COM: the rod left its seat"
-    )
+    seat_play: float = quantity(0.1, "m", "our choice: change of the distance from seat to COM: the rod left its seat")
     fallen_lean: float = quantity(0.6, "rad", "our choice: 34 deg; the rod counts as fallen; 0.15 m of lean are 17 deg")
     max_tilt: float = quantity(0.8, "rad", "our choice: 46 deg; bound of the MPC is 23 deg")
     fence: tuple[float, float, float] = quantity(

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from scipy.spatial.transform import Rotation
 
+from fiplib.dynamics import seat_position
 from fiplib.params import STATES, Params
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
@@ -32,10 +33,11 @@ def fig1_flight(flight: Flight) -> Figure:
     vehicle = flight.params.vehicle
     arms = vehicle.wheelbase / 2 * np.array([[1, 1, 0], [-1, -1, 0], [0, 0, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2)
     for index in np.nonzero(lap)[0][:: round(flight.params.piloting.mocap_rate)]:
-        seat, com = flight.vehicle.position[index], flight.pendulum.position[index]
+        frame, turn = flight.vehicle.position[index], flight.vehicle.orientation[index]
+        seat, com = seat_position(frame, turn, flight.params.piloting.seat_height), flight.pendulum.position[index]
         tip = seat + (com - seat) * flight.params.pendulum.length / np.linalg.norm(com - seat)
         axes.plot(*np.array([seat, tip]).T, color="black", lw=0.8)
-        axes.plot(*(seat + Rotation.from_quat(flight.vehicle.orientation[index]).apply(arms)).T, color=BLUE, lw=1.1)
+        axes.plot(*(frame + Rotation.from_quat(turn).apply(arms)).T, color=BLUE, lw=1.1)
     axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", zlabel="$z$ (m)", xlim=(-1, 1), ylim=(-1, 1), zlim=(1, 2.4))
     axes.set(xticks=(-1, 0, 1), yticks=(-1, 0, 1), zticks=(1.0, 1.5, 2.0))
     axes.set_box_aspect((2, 2, 1.4), zoom=0.95)

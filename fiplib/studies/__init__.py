@@ -35,11 +35,12 @@ STUDIES = {
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
     "ablation": "fiplib.studies.ablation",
+    "seat": "fiplib.studies.seat",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "ablation")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "ablation")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fiplib import replay
-from fiplib.batch import fly_many
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
@@ -32,6 +31,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Scenario
+from fiplib.studies.batch import fly_many
 
 KEYS = ("excitation", "gyration_ratio", "seed")
 

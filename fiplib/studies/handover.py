@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiplib.batch import fly_many
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
 from fiplib.reproduction import measures
@@ -29,6 +28,7 @@ from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 
 KEYS = ("policy", "index")
 

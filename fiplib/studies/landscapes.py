@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import kalman, replay
-from fiplib.batch import fly_many
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, B_DOT, NANO, Estimation, Params
@@ -27,6 +26,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Table, number
 from fiplib.simulate import Scenario
+from fiplib.studies.batch import fly_many
 
 KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""

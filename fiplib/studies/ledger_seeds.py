@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fiplib.batch import fly_many
 from fiplib.params import Y_DOT, Params, Y
 from fiplib.recording import Flight
 from fiplib.reproduction import claims, measures
@@ -27,6 +26,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Table, number
 from fiplib.simulate import SCENARIOS
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 
 KEYS = ("variant", "scenario", "seed")
 """``variant`` is a name in ``VARIANTS``, ``scenario`` one in ``simulate.SCENARIOS``."""

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 
-from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.pilot import Circle
@@ -19,6 +18,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts
 from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 from fiplib.studies.survival import RODS
 
 KEYS = ("length", "rod", "change", "lasting")

@@ -10,7 +10,6 @@ import itertools
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params
 from fiplib.pilot import Circle
@@ -18,6 +17,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import COLUMN, origin
 from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
 
 KEYS = ("used_length", "true_length", "rod")
 """Lengths in m; ``rod`` is a name in ``RODS``."""

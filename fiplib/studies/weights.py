@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from fiplib.batch import fly_many
 from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
@@ -31,6 +30,7 @@ from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts, Table
 from fiplib.simulate import SCENARIOS, Scenario
+from fiplib.studies.batch import fly_many
 from fiplib.studies.survival import RODS
 
 KEYS = ("candidate",)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from fiplib.dynamics import seat_position
 from fiplib.params import Vehicle
 from fiplib.recording import Flight
 from fiplib.reproduction.style import BLUE, GREEN, GREY, ORANGE, STYLE, origin
@@ -119,8 +120,9 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
 def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
     """Vehicle, its shadow on the floor, and rod in 3-D axes; returns what moves them to a time in s."""
     times, seats, coms = _joined(flight)
-    floor = _frame(axes, np.concatenate([seats, 2 * coms - seats]))
-    axes.plot(*seats[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)
+    frames = flight.vehicle.position
+    floor = _frame(axes, np.concatenate([frames, 2 * coms - seats]))
+    axes.plot(*frames[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)
     (trail,) = axes.plot([], [], [], color=BLUE, lw=0.8, label="track")
     (shadow,) = axes.plot([], [], [], "o", color=GREY, ms=3)
     (rod,) = axes.plot([], [], [], color="black", lw=1.8, solid_capstyle="round", label="rod")
@@ -131,12 +133,12 @@ def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
 
     def show(time: float) -> list:
         index = min(int(np.searchsorted(times, time)), len(times) - 1)
-        seat, com = seats[index], coms[index]
-        trail.set_data_3d(*seats[(times > time - TRAIL) & (times <= time)].T)
-        shadow.set_data_3d([seat[0]], [seat[1]], [floor])
+        frame, seat, com = frames[index], seats[index], coms[index]
+        trail.set_data_3d(*frames[(times > time - TRAIL) & (times <= time)].T)
+        shadow.set_data_3d([frame[0]], [frame[1]], [floor])
         rod.set_data_3d(*np.array([seat, 2 * com - seat]).T)
         dot.set_data_3d(*com[:, None])
-        lines = vehicle_lines(seat, flight.vehicle.orientation[index], flight.params.vehicle)
+        lines = vehicle_lines(frame, flight.vehicle.orientation[index], flight.params.vehicle)
         for artist, line in zip(body, lines, strict=True):
             artist.set_data_3d(*line.T)
         clock.set_text(f"{time:4.1f} s")
@@ -146,10 +148,11 @@ def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
 
 
 def _joined(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
-    """Times (n,) s, positions (n, 3) m of the vehicle, and of the rod's centre of mass at the same times."""
+    """Times (n,) s, positions (n, 3) m of the rod's seat, and of its centre of mass at the same times."""
     times, others = flight.time(flight.vehicle), flight.time(flight.pendulum)
     com = np.column_stack([np.interp(times, others, column) for column in flight.pendulum.position.T])
-    return times, flight.vehicle.position, com
+    vehicle, height = flight.vehicle, flight.params.piloting.seat_height
+    return times, seat_position(vehicle.position, vehicle.orientation, height), com
 
 
 def _frame(axes: Axes3D, points: NDArray) -> float:
@@ -186,7 +189,7 @@ def _instruments(panels: Sequence[Axes], flight: Flight) -> list:
             below.axhline(flight.truth_length.values[-1, 0], color="black", lw=0.6, label="true length")
         below.set_ylabel("length (m)")
     else:
-        below.plot(times, seat[:, 2], color=GREEN, label="height of the vehicle")
+        below.plot(times, flight.vehicle.position[:, 2], color=GREEN, label="height of the vehicle")
         below.set_ylabel("$z$ (m)")
     below.margins(y=0.35)
     below.legend(loc="upper right")

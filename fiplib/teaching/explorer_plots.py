@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import ga
+from fiplib.dynamics import seat_position
 from fiplib.kalman import Window
 from fiplib.params import STATES, Params
 from fiplib.recording import Flight, Poses
@@ -131,7 +132,8 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
             axes.plot(*pendulum.position.T, color=ORANGE, label="rod's COM")
             at = np.linspace(0, len(vehicle.stamp) - 1, SNAPSHOTS).round().astype(int)
             other = np.searchsorted(pendulum.stamp, vehicle.stamp[at]).clip(max=len(pendulum.stamp) - 1)
-            shades, rods = np.linspace(0.2, 1.0, SNAPSHOTS), (vehicle.position[at], pendulum.position[other])
+            seats = seat_position(vehicle.position[at], vehicle.orientation[at], flight.params.piloting.seat_height)
+            shades, rods = np.linspace(0.2, 1.0, SNAPSHOTS), (seats, pendulum.position[other])
             for shade, seat, middle in zip(shades, *rods, strict=True):
                 axes.plot(*np.array([seat, 2 * middle - seat]).T, color="black", lw=1.0, alpha=shade)  # tip: COM again
             axes.legend(loc="upper left", frameon=False)

@@ -16,12 +16,14 @@ from fiplib.simulate import Scenario, fly
 from fiplib.studies import bounds
 
 PARAMS = Params()
+NO_SEAT = PARAMS.replace(vehicle__seat_height=0.0, piloting__seat_height=0.0)
+"""What ``likelihood`` models: it knows nothing of a seat above the vehicle's centre of mass."""
 
 
 @cache
-def flown(kind: str = "circle", seconds: float = 7.0) -> Flight:
+def flown(kind: str = "circle", seconds: float = 7.0, params: Params = PARAMS) -> Flight:
     reference = {"circle": Circle(0.4, 8.0, ramp=2.0), "wide": Circle(0.8, 9.0, ramp=2.0), "hover": Hover()}[kind]
-    flight = fly(Scenario(kind, "", seconds, reference, params=PARAMS, seed=11))
+    flight = fly(Scenario(kind, "", seconds, reference, params=params, seed=11))
     assert flight.survived
     return flight
 

@@ -18,12 +18,13 @@ from fiplib.estimators.poses import filter as kf
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.fit import FORCE_FREE, STEP
 from fiplib.estimators.poses.knowledge import Knowledge, Told
-from fiplib.estimators.poses.planar import planar
+from fiplib.estimators.poses.planar import COLUMNS, planar, read_encoders
 from fiplib.estimators.poses.rows import Body, rows_of
 from fiplib.estimators.poses.stream import Stream
-from fiplib.params import GRAVITY
+from fiplib.params import FipError
 from fiplib.simulate import Push
 from fiplib.studies.poses import Condition, flown, interval, observed
+from fiplib.teaching.cart import simulated_cart
 
 CHANCE = 3.5
 AT_MIDDLE = Knowledge(marker_offset=Told(0.0, 1e-3))
@@ -382,25 +383,8 @@ def test_a_whole_flight_takes_linear_time():
     assert seconds(long) < 8.0 * seconds(short)
 
 
-def cart(length=0.4, seconds=20.0, quantum=2 * math.pi / 4096, gain=1.0, seed=0):
-    """A simulated cart with encoders, 100 Hz: base m and angle rad of a rod that a noisy controller balances."""
-    rng, step = np.random.default_rng(seed), 1e-3
-    base = speed = angle = rate = push = 0.0
-    rows = []
-    for index in range(round(seconds / step)):
-        if index % 10 == 0:
-            rows.append((index * step, base, angle))
-            push = 40 * angle + 8 * rate + 2 * base + 3 * speed + gain * rng.normal() * 4
-        rate += step * (GRAVITY * math.sin(angle) - push * math.cos(angle)) / length
-        angle += step * rate
-        speed += step * push
-        base += step * speed
-    clock, base, angle = np.array(rows).T
-    return clock, np.round(base / 1e-4) * 1e-4, np.round(angle / quantum) * quantum
-
-
 def test_a_simulated_cart():
-    clock, base, angle = cart()
+    clock, base, angle = simulated_cart(np.random.default_rng(0))
     answer = planar(clock, base, clock + 1e-9, angle)
     assert answer.reason is None, answer.reason
     check(answer.effective_length, 0.4)
@@ -408,8 +392,35 @@ def test_a_simulated_cart():
     assert "base" in " ".join(answer.assumed)
 
 
+def test_encoders_are_read_from_a_table_in_any_order(tmp_path):
+    known = simulated_cart(np.random.default_rng(0), seconds=1.0)
+    order = (2, 0, 1)
+    header = ",".join(COLUMNS[column] for column in order)
+    table = tmp_path / "cart.csv"
+    np.savetxt(table, np.array(known)[list(order)].T, delimiter=",", header=header, comments="", fmt="%.17g")
+    np.testing.assert_array_equal(read_encoders(table), known)
+    table.write_text(table.read_text() + "0.1,,2\n")
+    np.testing.assert_array_equal(read_encoders(table), known)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a,b\n1,2\n", "not a CSV file of encoders"),
+        ("time_s,base_position_m,angle_rad\n1,2,3\n", "1 rows hold numbers"),
+        ("time_s,base_position_m,angle_rad\n1,2,3,4\n", "damaged"),
+        ("time_s,base_position_m,angle_rad\n1,two,3\n", "damaged"),
+        ("", "not a CSV file of encoders"),
+    ],
+)
+def test_what_is_no_table_of_encoders_is_said(tmp_path, text, why):
+    (table := tmp_path / "cart.csv").write_text(text)
+    with pytest.raises(FipError, match=f"cart.csv: .*{why}"):
+        read_encoders(table)
+
+
 def test_a_rod_that_hardly_moves_is_refused_for_its_encoder():
-    clock, base, angle = cart(quantum=0.05)
+    clock, base, angle = simulated_cart(np.random.default_rng(0), angle_step=0.05)
     assert "quantisation" in planar(clock, base, clock, angle).reason
 
 
@@ -418,7 +429,7 @@ def test_a_real_rotary_pendulum():
     path = Path(root) / "furuta/upright.csv"
     if not path.exists():
         pytest.skip(f"no recording at {path}; FIP_REAL names the directory that holds furuta/upright.csv")
-    clock, base, angle = np.genfromtxt(path, delimiter=",", skip_header=1).T
+    clock, base, angle = read_encoders(path)
     known = Knowledge(noise=(1e-4, 1e-3), lengths=(0.03, 1.0))
     for radius in (math.inf, 0.062):
         answer = planar(clock, base, clock, angle, known, arm_radius=radius)

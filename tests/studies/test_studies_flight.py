@@ -9,9 +9,9 @@ import pytest
 from fiplib.controllers import margins
 from fiplib.params import Params
 from fiplib.simulate import SCENARIOS
-from fiplib.studies import ledger_seeds, length_jumps, survival, weights
+from fiplib.studies import ledger_seeds, length_jumps, seat, survival, weights
 
-STUDIES = ("survival", "weights", "ledger_seeds", "length_jumps")
+STUDIES = ("survival", "weights", "ledger_seeds", "length_jumps", "seat")
 
 
 @pytest.fixture
@@ -133,3 +133,13 @@ def test_the_estimators_flight_reports_length_convergence_and_tracking(monkeypat
     assert row["holds_tracking"] == 1
     assert row["final_length"] == pytest.approx(1.0, abs=0.3)  # few candidates: between the start and the truth
     assert row["tracking"] < 1.0
+
+
+def test_a_short_rod_flies_on_a_known_seat_and_falls_within_seconds_on_an_unknown_one(monkeypatch):
+    monkeypatch.setattr(seat, "SEEDS", (1,))
+    case = {"motion": "circle", "length": 0.4, "seat": 0.08}
+    known, unknown = (seat.run({**case, "stated": stated}) for stated in (0.08, 0.0))
+    # the linear loop of the unknown seat grows by 1.7 1/s, from millimetres of noise in a and 1 mrad of tilt
+    assert unknown["survived"] == 0 and unknown["seconds"] < 3.0 and unknown["growth_rate"] > 1.0
+    assert known["survived"] == 1 and known["growth_rate"] < 0.0 and known["error"] < 0.1
+    assert known == seat.run({**case, "stated": 0.08}), "repeatable"

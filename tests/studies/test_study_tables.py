@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fiplib import studies
-from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, weights
+from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, seat, weights
 from fiplib.studies.imperfections import IMPERFECTIONS
 
 
@@ -116,3 +116,17 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
 
 def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
     assert studies.facts(tmp_path) == {}
+
+
+def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
+    result = {"flown": 20.0, "seconds": 20.0, "error": 0.05, "largest_lean": 0.02, "rate": 0.5}
+    margins = {"growth_rate": -1.0, "gain_high": 2.0}
+    rows = [{**case, **result, **margins, "survived": 20.0 if case["stated"] else 0.0} for case in seat.cases()]
+    # all of 20: the lower limit p of the exact interval has p^20 = 2.5 %
+    assert seat.survival(rows[1]) == (0.0, 0.0, pytest.approx(1 - 0.025 ** (1 / 20)))
+    table = seat.table14_seat(rows)
+    assert len(table.rows) == len(seat.LENGTHS) * (1 + len(seat.STATED))
+    assert table.rows[1][:4] == ("0.4", "8", "0", "0 (0 to 17)") and table.rows[2][3] == "20 (83 to 100)"
+    found = seat.facts(rows)
+    assert found["shortest", "known", "up"] == "40" and found["middle", "unknown", "up"] == "0"
+    assert seat.fig17_seat(rows).axes

@@ -41,9 +41,11 @@ def test_at_each_time_the_rod_stands_on_the_vehicle_and_points_to_its_centre_of_
     for time in (0.0, 1.0, 1.5):
         made._func(time)
         index = np.searchsorted(flight.time(flight.vehicle), time)
-        seat, com = flight.vehicle.position[index], flight.pendulum.position[index]
+        up = Rotation.from_quat(flight.vehicle.orientation[index]).as_matrix()[:, 2]
+        seat = flight.vehicle.position[index] + flight.params.piloting.seat_height * up
+        com = flight.pendulum.position[index]
         drawn = lines(made._fig)
-        np.testing.assert_array_equal(drawn["rod"][:, 0], seat)
+        np.testing.assert_allclose(drawn["rod"][:, 0], seat, atol=1e-8)  # quaternions in single precision
         np.testing.assert_array_equal(drawn["centre of mass"][:, 0], com)
         np.testing.assert_allclose(drawn["rod"].mean(axis=1), com, rtol=1e-12)  # the middle of two points: rounding
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.checks import tracked, why_no_length
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.checks import Refusal
 from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H, R
@@ -89,6 +90,9 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
 
 def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
     """Return the length of the rod from the two bodies of a recorded flight; see ``estimate``."""
+    if reason := why_no_length(flight):
+        return PoseEstimate(reason=reason)
+    flight = tracked(flight)
     bodies = (
         Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
         for body in (flight.vehicle, flight.pendulum)

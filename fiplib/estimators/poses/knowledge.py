@@ -57,11 +57,12 @@ class Knowledge:
 
     @classmethod
     def of(cls, params: Params) -> "Knowledge":
-        """Return what ``params`` say, and that the rod is tracked at its middle as in all bags of ours."""
+        """Return what ``params`` say, with the pilot's seat; the rod is tracked at its middle as in our own bags."""
         rod, vehicle, simulation = params.pendulum, params.vehicle, params.simulation
         ratio = rod.mass / (rod.mass + vehicle.mass)
         return cls(
             marker_offset=MIDDLE,
+            seat_height=Told(params.piloting.seat_height, max(params.piloting.seat_tolerance, 1e-6)),
             mass_ratio=Told(ratio, 0.02 * ratio),
             noise=(max(simulation.position_noise, 1e-6), max(simulation.attitude_noise, 1e-6)),
             lag=simulation.rate_lag,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +15,47 @@ from fiplib.estimators.poses.fit import Problem, Value
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, assumptions
 from fiplib.estimators.poses.rows import HALF, Body, cleaned, sorted_rows
 from fiplib.estimators.poses.smoothing import parabolas
-from fiplib.params import GRAVITY
+from fiplib.params import GRAVITY, FipError
 
 LARGEST_SPREAD = 0.1
 """Refused above this relative deviation of L_e: the base is known exactly, and friction leaves most of the doubt."""
 
 LEAST_QUANTA = 4.0
 """Refused where the rod's angle moves by fewer steps of its encoder than this (standard deviation)."""
+
+
+COLUMNS = ("time_s", "base_position_m", "angle_rad")
+"""Of a CSV file of encoders: time, position of the rod's pivot along its path, angle of the rod from upright. The angle
+is positive where the rod leans towards positive positions."""
+
+
+def is_encoders(path: Path) -> bool:
+    """Return whether a file is a CSV file whose header has the columns of encoders."""
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return False
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return set(COLUMNS) <= {name.strip() for name in file.readline(1000).split(",")}
+
+
+def read_encoders(path: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Return time in s, position in m and angle in rad of a CSV file whose header names ``COLUMNS``, in any order.
+
+    Rows with an empty cell are left out. On a rotary arm the position is the arm's angle times its radius.
+
+    Raises:
+        FipError: a column is missing, a cell is no number, or too few rows are left.
+    """
+    if not is_encoders(path):
+        raise FipError(f"{path}: not a CSV file of encoders, whose header names {', '.join(COLUMNS)}")
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig", loose=False)
+    except ValueError as error:
+        raise FipError(f"{path}: a row is damaged: {' '.join(str(error).split())[:200]}") from None
+    columns = np.array([np.atleast_1d(table[name]) for name in COLUMNS])
+    columns = columns[:, np.isfinite(columns).all(axis=0)]
+    if columns.shape[1] < checks.LEAST_POSES:
+        raise FipError(f"{path}: {columns.shape[1]} rows hold numbers, at least {checks.LEAST_POSES} are needed")
+    return columns[0], columns[1], columns[2]
 
 
 def planar(

@@ -3,9 +3,10 @@
 import argparse
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from fiplib.bags.checks import Finding, passed
 from fiplib.estimators.poses.knowledge import UNIFORM, Told
 
 if TYPE_CHECKING:  # with its compiled code it takes half a second to import
@@ -36,8 +37,11 @@ def stated(options: argparse.Namespace) -> dict[str, Told]:
     return {name: told for name, told in known.items() if told}
 
 
-def answer(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> dict:
-    """Return the answer as plain values: lengths in m, null for what is not known, pairs [value, deviation]."""
+def answer(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> dict:
+    """Return the answer as plain values: lengths in m, null for what is not known, pairs [value, deviation].
+
+    ``notes`` say what reading assumed, ``findings`` what ``bags.checks`` has against the flight.
+    """
     names = ("effective_length", "rod_point", "seat_height", "com_height", "inertia_factor", "uniform_length")
     return {
         "length": _number(found.length),
@@ -46,6 +50,8 @@ def answer(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> dict:
         "refused": found.reason,
         "assumed": [*notes, *found.assumed],
         "checks": {
+            "findings": [finding._asdict() for finding in findings],
+            "passed": passed(findings),
             "notes": list(found.notes),
             "noise": found.noise,
             "autocorrelation_of_innovations": found.whiteness,
@@ -56,12 +62,12 @@ def answer(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> dict:
     }
 
 
-def in_json(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> str:
+def in_json(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> str:
     """Return ``answer`` as one JSON object."""
-    return json.dumps(answer(found, notes), indent=2)
+    return json.dumps(answer(found, notes, findings), indent=2)
 
 
-def sentences(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> str:
+def sentences(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> str:
     """Return the answer in words."""
     if found.reason is None:
         interval = "95 %: {:.4f} to {:.4f} m".format(*found.interval)
@@ -71,7 +77,9 @@ def sentences(found: "PoseEstimate", notes: tuple[str, ...] = ()) -> str:
     told = {"seat": found.seat_height, "rod point": found.rod_point}
     lines += [f"{name:<10} {value:.4f} m +- {deviation:.4f} m"
               for name, (value, deviation) in told.items() if math.isfinite(value)]  # fmt: skip
-    for word, said in (("assumed", (*notes, *found.assumed)), ("checks", found.notes)):
+    against = [finding.sentence for finding in findings if finding.sentence != found.reason]
+    checked = (*against, *found.notes, f"passed: {', '.join(passed(findings)) or 'none'}")
+    for word, said in (("assumed", (*notes, *found.assumed)), ("checks", checked)):
         lines += [f"{'' if index else word:<10} {sentence}" for index, sentence in enumerate(said)]
     return "\n".join(lines)
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fiplib.dynamics import PLANT, body_z, body_z_acceleration, coupled_plant, rk4
+from fiplib.dynamics import PLANT, body_z, body_z_acceleration, coupled_plant, projected, rk4
 from fiplib.flight.crsf_frames import US_OFFSET, US_PER_COUNT, betaflight_settings
 from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import weight
@@ -164,11 +164,8 @@ def _exchange_period(params: Params, airframe: Airframe) -> ca.Function:
     """(x, commands, force) -> x one period later, projected onto unit quaternion and direction; specific force."""
     plant = motor_plant(params, airframe)
     x, command, force = ca.SX.sym("x", 23), ca.SX.sym("command", 4), ca.SX.sym("force", 3)
-    after = rk4(plant, 1.0 / airframe.exchange_rate)(x, command, force)
-    attitude, direction, rate = (after[PLANT[name]] for name in ("attitude", "direction", "direction_rate"))
-    q = direction / ca.norm_2(direction)
-    attitude /= ca.norm_2(attitude)
-    after = ca.vertcat(after[:6], attitude, q, rate - q * ca.dot(q, rate), after[16:])
+    after = projected(rk4(plant, 1.0 / airframe.exchange_rate)(x, command, force))
+    attitude = after[PLANT["attitude"]]
     motion = plant(after, command, force)
     felt = motion[PLANT["velocity"]] + ca.vertcat(0, 0, GRAVITY)
     if seat := params.vehicle.seat_height:  # the accelerometer lies at the vehicle's centre of mass

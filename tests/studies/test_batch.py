@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fiplib import batch
 from fiplib.params import Params
 from fiplib.pilot import Circle, Hover
 from fiplib.simulate import SCENARIOS, Push, Scenario, fly
+from fiplib.studies import batch
 
 SHORT = Params().replace(piloting__estimate=True, estimation__window=20, estimation__generations=3)
 TRUSTED = SHORT.replace(piloting__handover="trusted", estimation__estimator="poses", pendulum__gyration_ratio=1 / 12)

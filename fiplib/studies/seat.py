@@ -1,0 +1,188 @@
+"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
+
+A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
+which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
+the frame itself, as in the paper's model, is the standard of comparison. Every case flies with the same ``SEEDS``.
+``growth_rate`` and ``gain_high`` are those of the linear loop (``controllers.margins``). About 4 minutes of one core.
+"""
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import binomtest
+
+from fiplib.controllers import margins
+from fiplib.params import A, B, Params, X, Y
+from fiplib.pilot import Circle, Hover
+from fiplib.recording import Flight
+from fiplib.reproduction.measures import rms
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
+from fiplib.reproduction.tables import NONE, Facts, Table
+from fiplib.simulate import Push, Scenario
+from fiplib.studies import seconds_flown
+from fiplib.studies.batch import fly_many
+
+KEYS = ("motion", "length", "seat", "stated")
+"""``motion`` is a name in ``MOTIONS``; all others are in m."""
+
+LENGTHS = (0.4, 0.7, 1.0, 1.5)
+SEAT = 0.08
+STATED = (0.0, 0.04, 0.06, 0.08, 0.10, 0.12)
+"""What the pilot takes for the seat's height, m; 0: it does not know of a seat."""
+
+SEEDS = range(20)
+
+SECONDS = 20.0
+SETTLED = 8.0
+"""Seconds of a flight after which it is on its trajectory: from there on errors are taken."""
+
+PUSHES = (Push(5.3, (0.008, 0.0)), Push(10.0, (0.0, 0.007)), Push(15.0, (-0.005, 0.005)))
+MOTIONS = {
+    "hover": Scenario("hover with pushes", "", SECONDS, Hover(), pushes=PUSHES),
+    "circle": Scenario("circle", "", SECONDS, Circle(radius=0.4, period=8.0)),
+}
+
+
+def cases() -> list[dict]:
+    """Every stated height with every rod in both motions, and the seat at the frame, which the pilot knows."""
+    seats = [(0.0, 0.0), *((SEAT, stated) for stated in STATED)]
+    found = [(motion, length, *heights) for motion in MOTIONS for length in LENGTHS for heights in seats]
+    return [dict(zip(KEYS, values, strict=True)) for values in found]
+
+
+def run(case: dict) -> dict[str, float | int | str]:
+    """Fly one case with every seed.
+
+    Returns:
+        flown, how many flights, and survived, how many of them stay up; seconds, the median time to the fall or the
+        end; of those up, from ``SETTLED`` on: error, rms distance of the seat from its reference, largest_lean, |a| or
+        |b| at most, both the median over the flights in m, and rate, rms body rate commanded, rad/s (nan if none is
+        up); growth_rate in 1/s and gain_high of the linear loop.
+    """
+    params = Params().replace(
+        pendulum__length=case["length"],
+        piloting__initial_length=case["length"],
+        vehicle__seat_height=case["seat"],
+        piloting__seat_height=case["stated"],
+    )
+    motion = MOTIONS[case["motion"]]
+    scenarios = [Scenario(motion.name, "", SECONDS, motion.reference, motion.pushes, (), params, s) for s in SEEDS]
+    flights = list(fly_many(scenarios))
+    up = [flight for flight in flights if flight.survived]
+    loop = margins.closed_loop(case["length"], params)
+    return {
+        "flown": len(flights),
+        "survived": len(up),
+        "seconds": float(np.median([seconds_flown(*pair) for pair in zip(flights, scenarios, strict=True)])),
+        "error": _median([_error(flight, motion) for flight in up]),
+        "largest_lean": _median([float(np.abs(flight.truth_state.values[:, [A, B]]).max()) for flight in up]),
+        "rate": _median([rms(flight.command.values[:, :2]) for flight in up]),
+        "growth_rate": loop.growth_rate,
+        "gain_high": loop.margins.gain_high,
+    }
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else math.nan
+
+
+def _error(flight: Flight, motion: Scenario) -> float:
+    """The rms distance, in m, of the true seat from its reference once the flight has settled."""
+    times = flight.time(flight.truth_state)
+    settled = times >= SETTLED
+    away = flight.truth_state.values[settled][:, [X, Y]] - motion.reference.at(times[settled])[:, [X, Y]]
+    return rms(np.hypot(*away.T))
+
+
+def survival(row: dict) -> tuple[float, float, float]:
+    """Return the share of a row's flights that stay up, and its exact (Clopper-Pearson) 95 % interval."""
+    found = binomtest(int(row["survived"]), int(row["flown"]))
+    interval = found.proportion_ci(0.95, method="exact")
+    return found.statistic, interval.low, interval.high
+
+
+COLOURS = dict(zip(LENGTHS, (ORANGE, PURPLE, BLUE, GREEN), strict=True))
+PLACE = -3.0
+"""Where a figure puts the seat at the frame, beside the stated heights in cm."""
+
+
+def fig17_seat(rows: Rows) -> Figure:
+    """Fig. 17: rods on a seat 8 cm above the tracked frame: who stays up, and how well, by the stated height."""
+    figure = Figure(figsize=(COLUMN, 4.2), layout="constrained")
+    panels = figure.subplots(3, 2, sharex=True, sharey="row")
+    for axes, motion in zip(panels[0], MOTIONS, strict=True):
+        axes.set_title(MOTIONS[motion].name)
+    for column, motion in zip(panels.T, MOTIONS, strict=True):
+        for shift, length in enumerate(LENGTHS):
+            some = [row for row in rows if row["motion"] == motion and row["length"] == length]
+            raised = sorted((row for row in some if row["seat"] > 0), key=lambda row: row["stated"])
+            frame = [row for row in some if row["seat"] == 0]
+            for at, style in ((raised, "o-"), (frame, "s")):
+                x = [0.25 * (shift - 1.5) + (100 * row["stated"] if row["seat"] else PLACE) for row in at]
+                look = {"ms": 2.5, "lw": 0.7, "color": COLOURS[length], "mfc": "white" if style == "s" else None}
+                share, low, high = np.array([survival(row) for row in at]).T
+                label = f"$l$ = {length:g} m" if style == "o-" else None
+                column[0].errorbar(
+                    x, share, (share - low, high - share), fmt=style, elinewidth=0.5, label=label, **look
+                )
+                column[1].plot(x, [100 * row["error"] for row in at], style, **look)
+                column[2].plot(x, [np.degrees(row["rate"]) for row in at], style, **look)
+        for axes in column:
+            axes.axvline(100 * SEAT, color=GREY, lw=0.5, ls=":")
+        column[2].set(
+            xticks=(PLACE, 0, 4, 8, 12),
+            xticklabels=("none", "0", "4", "8", "12"),
+            xlim=(-4, 13),
+            xlabel="stated seat (cm)",
+        )
+    for axes, label in zip(panels[:, 0], ("share that stays up", "rms error (cm)", "rms rate (deg/s)"), strict=True):
+        axes.set(ylabel=label, ylim=(0, None))
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    origin(figure, f"{len(SEEDS)} simulated flights each; dotted: true; none: seat at the frame")
+    return figure
+
+
+def table14_seat(rows: Rows) -> Table:
+    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands."""
+    lines = []
+    for length in LENGTHS:
+        for seat, stated in ((0.0, 0.0), *((SEAT, stated) for stated in STATED)):
+            cells = [f"{length:g}", f"{100 * seat:g}", f"{100 * stated:g}"]
+            at = {
+                row["motion"]: row
+                for row in rows
+                if (row["length"], row["seat"], row["stated"]) == (length, seat, stated)
+            }
+            for motion in MOTIONS:
+                row = at[motion]
+                _, low, high = survival(row)
+                cells.append(f"{row['survived']:.0f} ({100 * low:.0f} to {100 * high:.0f})")
+                for name, factor in (("error", 100.0), ("largest_lean", 100.0), ("rate", math.degrees(1.0))):
+                    cells.append(f"{factor * row[name]:.1f}" if math.isfinite(row[name]) else NONE)
+            cells.append(f"{row['gain_high']:.2f}" if row["growth_rate"] < 0 else NONE)
+            lines.append(tuple(cells))
+    each = tuple(
+        f"{motion}: {what}"
+        for motion in ("Pushes", "Circle")
+        for what in (f"up of {len(SEEDS)} (95\\,\\%)", "error (cm)", "lean (cm)", "rate (deg/s)")
+    )
+    header = ("$l$ (m)", "Seat (cm)", "Stated (cm)", *each, "Gain margin")
+    return Table(header, lines, "rrr" + "rrrr" * len(MOTIONS) + "r")
+
+
+def _row(rows: Rows, *case: str | float) -> dict:
+    """The row of a case, given in the order of ``KEYS``."""
+    return next(row for row in rows if tuple(row[key] for key in KEYS) == case)
+
+
+def facts(rows: Rows) -> Facts:
+    """Return what the report states: survival and seconds flown by rod, seat known and not, over both motions."""
+    found: Facts = {}
+    for length, word in zip(LENGTHS, ("shortest", "short", "middle", "longest"), strict=True):
+        for stated, knowledge in ((SEAT, "known"), (0.0, "unknown")):
+            some = [_row(rows, motion, length, SEAT, stated) for motion in MOTIONS]
+            found[word, knowledge, "up"] = f"{sum(int(row['survived']) for row in some)}"
+            found[word, knowledge, "seconds"] = f"{min(row['seconds'] for row in some):.1f}"
+    return found | {("flights",): f"{len(MOTIONS) * len(SEEDS)}"}
