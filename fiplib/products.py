@@ -40,6 +40,7 @@ PRODUCTS = {
     "fig15-identifiability": Product(
         "fiplib.studies.identifiability:fig15_identifiability", bags=("push-hover", "circle-0.8")
     ),
+    "fig16-coverage": Product("fiplib.studies.poses:fig16_coverage", studies=("poses",)),
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "fig18-ablation": Product("fiplib.studies.ablation:fig18_ablation", studies=("ablation",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
@@ -56,6 +57,7 @@ PRODUCTS = {
     "table10-rates": Product("fiplib.studies.benchmarks:table10_rates", benchmarks=("sweep_rates",)),
     "table11-imperfections": Product("fiplib.studies.imperfections:table11_imperfections", studies=("imperfections",)),
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
+    "table13-coverage": Product("fiplib.studies.poses:table13_coverage", studies=("poses",)),
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-ablation": Product("fiplib.studies.ablation:table15_ablation", studies=("ablation",)),
 }

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
+from fiplib.estimators.poses.knowledge import ANY_INERTIA, ANY_OFFSET, Knowledge
 from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 from fiplib.recording import BagError, Flight
@@ -127,6 +128,113 @@ def cramer_rao(
     return bound
 
 
+COMMANDS = 4
+
+DYNAMIC = ("inertia_factor", "rate_lag", "com_height", "mass_ratio", "length")
+"""What the plant depends on and an estimate from poses alone does not know."""
+
+CONSTANTS = np.array([0.02, 0.02, 0.1, 0.1, 0.1, 0.1])
+"""How well the calibration is known: of the rod's tracked point beside its axis, m, of the vehicle's body frame and of
+the rod's, rad, each along x and y."""
+
+
+def cramer_rao_of_poses(motion: Motion, params: Params, knowledge: Knowledge, slack: float = 1.0) -> NDArray:
+    """Smallest standard deviation in m that an estimate of the length from poses alone can have, after each frame.
+
+    The commands are not seen: each may deviate from the true one, independently, with the root mean square of the true
+    ones over the motion, times ``slack``. Commands are normal and so are the priors of ``knowledge``, of inertia,
+    tracked points, centre of mass and masses, and of the measured distance of both tracked points; calibration, lag
+    and the first state are unknown. So this is the bound for who knows how large commands are, but not which.
+
+    With process noise the information is gathered about the newest state instead of the first one, by a square-root
+    information filter (Bierman, 1977): a step eliminates the command and the state before it by QR. ``motion`` and
+    ``params`` as for ``cramer_rao``.
+    """
+    n = len(motion.states)
+    sizes = slack * np.sqrt(np.mean((motion.commands - motion.commands.mean(axis=0)) ** 2, axis=0))
+    transition, shift = _sensitivities(motion, params, DYNAMIC)
+    drive = _drive(motion, params) * np.maximum(sizes, 1e-9)
+    seen, prior = _poses(motion.states, params), _priors(params, knowledge)
+    unknowns = FREE + prior.shape[1]
+    triangle = np.hstack([np.zeros((len(prior), FREE)), prior])
+    at = FREE + prior.shape[1] - len(DYNAMIC)
+    tangents, bound = _tangents(motion.states[0]), np.full(n, np.inf)
+    for k in range(n):
+        rows = np.hstack([seen[k, :, :20] @ tangents, seen[k, :, 20:]])
+        triangle = np.linalg.qr(np.vstack([triangle, rows]), mode="r")
+        if len(triangle) == unknowns and abs(triangle[-1, -1]) > 1e-9 * np.linalg.norm(triangle[:, -1]):
+            bound[k] = 1 / abs(triangle[-1, -1])
+        if k < n - 1:
+            after = _tangents(motion.states[k + 1])
+            back = np.linalg.inv(np.linalg.pinv(after) @ transition[k] @ tangents)
+            known = triangle[:, :FREE] @ back
+            stacked = np.zeros((COMMANDS + len(triangle), COMMANDS + unknowns))
+            stacked[:COMMANDS, :COMMANDS] = np.eye(COMMANDS)
+            stacked[COMMANDS:, :COMMANDS] = -known @ np.linalg.pinv(after) @ drive[k]
+            stacked[COMMANDS:, COMMANDS : COMMANDS + FREE] = known
+            stacked[COMMANDS:, COMMANDS + FREE :] = triangle[:, FREE:]
+            stacked[COMMANDS:, COMMANDS + at :] -= known @ np.linalg.pinv(after) @ shift[k]
+            triangle, tangents = np.linalg.qr(stacked, mode="r")[COMMANDS:, COMMANDS:], after
+    return bound
+
+
+def _drive(motion: Motion, params: Params) -> NDArray:
+    """Sensitivities of the state a frame later to the commands (n - 1, 20, 4)."""
+    states, commands = motion.states[:-1].T, motion.commands[:-1].T
+    step, force = _step(params, motion.period)[0].map(states.shape[1]), np.zeros((3, states.shape[1]))
+    drive = np.empty((states.shape[1], 20, COMMANDS))
+    for column in range(COMMANDS):
+        change = 1e-3 * (np.arange(COMMANDS) == column)[:, None]
+        more, less = (np.array(step(states, commands + sign * change, force)) for sign in (1, -1))
+        drive[..., column] = (more - less).T / 2e-3
+    return drive
+
+
+def _poses(states: NDArray, params: Params) -> NDArray:
+    """Whitened rows (n, 10, 33) of what poses show: sensitivities to state, constants, seat, rod point, ``DYNAMIC``."""
+    position, attitude = params.simulation.position_noise, params.simulation.attitude_noise
+    seat, rho, n = params.seat_above_tracked, params.pendulum.length / 2, len(states)
+    rows = np.zeros((n, 10, 20 + len(CONSTANTS) + 2 + len(DYNAMIC)))
+    constants, seats, offset, length = 20, 26, 27, -1
+    x, y, z, w = states[:, PLANT["attitude"]].T
+    zero = np.zeros(n)
+    up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    slopes = np.array([[2 * z, 2 * w, 2 * x, 2 * y], [-2 * w, 2 * z, 2 * y, -2 * x], [-4 * x, -4 * y, zero, zero]])
+    for axis in range(3):
+        rows[:, axis, axis] = 1 / position
+        rows[:, axis, PLANT["attitude"]] = -seat * slopes[axis].T / position
+        rows[:, axis, seats] = -up[axis] / position
+    for axis in range(2):
+        rows[:, 3 + axis, axis], rows[:, 3 + axis, 10 + axis] = 1 / position, rho / position
+        rows[:, 3 + axis, constants + axis] = 1 / position
+        rows[:, 3 + axis, offset] = states[:, 10 + axis] / position
+        rows[:, 3 + axis, length] = states[:, 10 + axis] / 2 / position
+        rows[:, 8 + axis, 10 + axis] = rows[:, 8 + axis, constants + 4 + axis] = 1 / attitude
+        rows[:, 5 + axis, constants + 2 + axis] = 1 / attitude
+    turn = 2 * np.array([[w, z, -y, -x], [-z, w, x, -y], [y, -x, w, -z]]) / attitude
+    rows[:, 5:8, PLANT["attitude"]] = turn.transpose(2, 0, 1)
+    return rows
+
+
+def _priors(params: Params, knowledge: Knowledge) -> NDArray:
+    """Whitened rows (m, 13) of what is known beforehand, in the columns of ``_poses``."""
+    told, wide = knowledge, (ANY_INERTIA, ANY_OFFSET)
+    inertia, offset = told.inertia_factor or wide[0], told.marker_offset or wide[1]
+    columns = len(CONSTANTS) + 2 + len(DYNAMIC)
+    constants, seat, point = np.eye(columns)[: len(CONSTANTS)], *np.eye(columns)[len(CONSTANTS) : len(CONSTANTS) + 2]
+    factor, lag, com, mass, length = np.eye(columns)[-len(DYNAMIC) :]
+    return np.vstack([
+        constants / CONSTANTS[:, None],
+        seat / told.seat_height.tolerance,
+        point / offset.tolerance,
+        factor / inertia.tolerance,
+        lag / params.simulation.rate_lag,  # within a factor of e
+        (seat - com) / told.com_height.tolerance,
+        mass / told.mass_ratio.tolerance,
+        (length / 2 + point + seat) / told.distance_tolerance,
+    ])  # fmt: skip
+
+
 def _rebased(sensitivity: NDArray, triangle: NDArray) -> tuple[NDArray, NDArray]:
     """Other unknowns for the first state: what has grown is scaled down, and taken out of the parameters' columns."""
     u, sizes, vt = np.linalg.svd(sensitivity[:, :FREE], full_matrices=False)
@@ -182,8 +290,14 @@ def _step(params: Params, period: float) -> tuple[ca.Function, ca.Function]:
 def _changed(params: Params, name: str, change: float) -> Params:
     """The parameters with one of them a little larger (past what ``Params.replace`` would let a user ask for)."""
     pendulum, simulation = params.pendulum, params.simulation
+    vehicle, rod = params.vehicle, pendulum.mass
     if name == "rate_lag":
         return replace(params, simulation=replace(simulation, rate_lag=simulation.rate_lag + change))
+    if name == "com_height":
+        return replace(params, vehicle=replace(vehicle, seat_height=vehicle.seat_height + change))
+    if name == "mass_ratio":
+        ratio = rod / (rod + vehicle.mass) + change
+        return replace(params, pendulum=replace(pendulum, mass=vehicle.mass * ratio / (1 - ratio)))
     ratio = 0.25 / (pendulum.inertia_factor + change) - 0.25
     changed = {"length": pendulum.length + change} if name == "length" else {"gyration_ratio": ratio}
     return replace(params, pendulum=replace(pendulum, **changed))

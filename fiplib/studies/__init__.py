@@ -36,11 +36,12 @@ STUDIES = {
     "handover": "fiplib.studies.handover",
     "ablation": "fiplib.studies.ablation",
     "seat": "fiplib.studies.seat",
+    "poses": "fiplib.studies.poses",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "ablation")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "ablation", "poses")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

@@ -27,7 +27,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fiplib import ga, kalman, replay
-from fiplib.batch import fly_many
 from fiplib.estimators import brent, grid
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.kalman import Window
@@ -39,6 +38,7 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Scenario
+from fiplib.studies.batch import fly_many
 
 KEYS = ("true_length", "seed")
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fiplib import ga, replay
-from fiplib.batch import fly_many
 from fiplib.estimators import ESTIMATORS, brent, grid
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses.estimate import estimate
@@ -18,6 +17,7 @@ from fiplib.params import NANO, Params
 from fiplib.pilot import Circle
 from fiplib.recording import Flight
 from fiplib.simulate import Push, Scenario
+from fiplib.studies.batch import fly_many
 
 PARAMS = Params().replace(
     piloting__estimate=True, piloting__handover="trusted", piloting__initial_length=0.5, estimation__estimator="poses"

@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.poses import filter as kf
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.fit import FORCE_FREE, STEP
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.planar import COLUMNS, planar, read_encoders
-from fiplib.estimators.poses.rows import Body, rows_of
-from fiplib.estimators.poses.stream import Stream
+from fiplib.estimators.poses.rows import Body, rows_of, upright_axis
+from fiplib.estimators.poses.stream import Stream, history
 from fiplib.params import FipError
 from fiplib.simulate import Push
 from fiplib.studies.poses import Condition, flown, interval, observed
@@ -34,7 +35,7 @@ AT_MIDDLE = Knowledge(marker_offset=Told(0.0, 1e-3))
 def states(seat=0.08, seed=1, duration=9.0, length=1.0, gyration_ratio=1 / 12, pushes=()):
     """True states (n, 20) at 240 Hz of a flight on a circle of 0.4 m."""
     changes = {"pendulum__gyration_ratio": gyration_ratio}
-    return flown(Condition(length=length, seat=seat, changes=changes), seed, duration, pushes)
+    return flown(Condition(length=length, seat=seat, changes=changes), seed, duration, pushes).states
 
 
 def poses(x, seed=0, length=1.0, below=0.08, above=0.0, position=0.2e-3, attitude=1e-3, start=3.0, seconds=2.5):
@@ -104,7 +105,7 @@ def test_the_same_likelihood_whatever_runs_beside_it():
 def test_a_pass_goes_on_where_it_stopped():
     rows, theta = rows_and_point(1.0)
     whole = kf.run(rows, theta[None]).total[0]
-    state = kf.State.at(rows.time[0], 1, 2)
+    state = kf.State.at(rows.time[0], 2)
     parts = [kf.Rows(*(column[half] for column in rows)) for half in (slice(0, 501), slice(501, None))]
     assert sum(kf.run(part, theta[None], state=state).total[0] for part in parts) == pytest.approx(whole, rel=1e-12)
 
@@ -282,12 +283,27 @@ def test_offsets_of_markers_and_body_frame_do_no_harm():
     check_length(estimate(vehicle._replace(axis=tilted / np.linalg.norm(tilted, axis=1)[:, None]), moved), 1.0)
 
 
+def turned_axis(axis):
+    return Rotation.from_rotvec([math.radians(20.0), 0.0, 0.0]).apply(axis)
+
+
+def averaged(position):
+    """Positions as software for motion capture smooths them: a moving average over three frames."""
+    inner = (position[:-2] + position[1:-1] + position[2:]) / 3
+    return np.concatenate([position[:1], inner, position[-1:]])
+
+
+@functools.cache
 def refusals():
     vehicle, rod = poses(states())
     yup = [body._replace(position=body.position[:, [0, 2, 1]], axis=body.axis[:, [0, 2, 1]]) for body in (vehicle, rod)]
-    fall = rod._replace(
-        position=vehicle.position + 0.58 * np.tile([math.sin(0.5), 0, math.cos(0.5)], (len(rod.time), 1))
-    )
+    lean = np.linspace(-0.1, 0.5, len(rod.time)) ** 3 * 4
+    fall = rod._replace(position=vehicle.position + 0.58 * np.column_stack([np.sin(lean), 0 * lean, np.cos(lean)]))
+    slope = Rotation.from_rotvec([0.2, 0.1, 0.0])
+    tilted = [
+        body._replace(position=slope.apply(body.position), axis=slope.apply(body.axis)) for body in (vehicle, rod)
+    ]
+    rounded = rod._replace(position=np.round(rod.position, 2))
     return {
         "along y, not along z": (yup[0]._replace(axis=vehicle.axis), yup[1]._replace(axis=rod.axis)),
         "millimetres": [body._replace(position=1000 * body.position) for body in (vehicle, rod)],
@@ -296,12 +312,18 @@ def refusals():
         "at its foot": (vehicle, rod._replace(position=rod.position - 0.5 * rod.axis - [0, 0, 0.04], axis=None)),
         "too few poses": (at(vehicle, slice(0, 30)), at(rod, slice(0, 30))),
         "too far for the model": (vehicle, fall),
+        "not level": tilted,
+        "vehicle leans by 20 deg": (vehicle._replace(axis=turned_axis(vehicle.axis)), rod),
+        "not white": [body._replace(position=averaged(body.position)) for body in (vehicle, rod)],
+        "quantisation: the rod moves by": (vehicle, rounded),
+        "position does not change": (vehicle, rod._replace(position=np.tile(rod.position[:1], (len(rod.time), 1)))),
     }
 
 
 @pytest.mark.parametrize("cause", [
     "along y, not along z", "millimetres", "swapped", "order of its quaternion", "at its foot", "too few poses",
-    "too far for the model",
+    "too far for the model", "not level", "vehicle leans by 20 deg", "not white", "quantisation: the rod moves by",
+    "position does not change",
 ])  # fmt: skip
 def test_a_refusal_names_its_cause(cause):
     answer = estimate(*refusals()[cause])
@@ -351,6 +373,8 @@ def test_a_coverage_comes_with_an_interval_over_flights():
     assert share == 15 / 16 and low < share < high == 1.0
     # flights that all agree leave nothing to draw
     assert interval([3, 3], [4, 4]) == (0.75, 0.75, 0.75)
+    # where no interval misses, the rule of three: 3 / n, here of Wilson, 3.84 / (n + 3.84)
+    assert interval([4] * 10, [4] * 10) == pytest.approx((1.0, 1.0 - 3.8415 / 43.8415, 1.0), abs=1e-4)
 
 
 def test_a_stream_gives_what_the_whole_flight_gives():
@@ -363,6 +387,57 @@ def test_a_stream_gives_what_the_whole_flight_gives():
     assert stream.length.deviation < 0.8 * deviation
     # one Newton step from the first window's maximum, and 0.15 s of poses that still wait
     assert stream.length.value == pytest.approx(whole.length, abs=0.25 * whole.standard_deviation)
+
+
+def test_a_history_ends_at_the_answer_and_shrinks():
+    vehicle, rod = poses(states(duration=16.0), seconds=8.0)
+    found = history(vehicle, rod, AT_MIDDLE, points=12)
+    assert found.time[0] == 1.0 and found.time[-1] == pytest.approx(8.0, abs=0.01)
+    assert np.all(np.diff(found.standard_deviation) < 0.0)
+    # the maximum is found within a tenth of a squared standard deviation, and the last step ends it
+    assert found.length[-1] == pytest.approx(found.answer.length, abs=0.1 * found.answer.standard_deviation)
+    assert found.standard_deviation[-1] == pytest.approx(found.answer.standard_deviation, rel=0.02)
+    # earlier answers agree with an estimate of those poses alone
+    at_four = int(np.searchsorted(found.time, 4.0))
+    until = 3.0 + found.time[at_four]
+    alone = estimate(*(at(body, body.time <= until) for body in (vehicle, rod)), AT_MIDDLE)
+    assert found.length[at_four] == pytest.approx(alone.length, abs=0.3 * alone.standard_deviation)
+    assert found.standard_deviation[at_four] == pytest.approx(alone.standard_deviation, rel=0.15)
+
+
+def test_a_history_that_is_refused_at_once_is_empty():
+    vehicle, rod = poses(states())
+    found = history(rod, vehicle)
+    assert "swapped" in found.answer.reason and len(found.time) == len(found.length) == 0
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.1])
+def test_a_world_that_is_not_quite_level_does_no_harm(angle):
+    slope = Rotation.from_euler("xyz", [angle, angle / 2, 0.3])
+    turned = [
+        body._replace(position=slope.apply(body.position), axis=slope.apply(body.axis)) for body in poses(states())
+    ]
+    check_length(estimate(*turned, AT_MIDDLE), 1.0)
+
+
+def test_a_body_frame_that_is_turned_is_set_upright():
+    x = states()[720:1320]
+    attitude, offset = Rotation.from_quat(x[:, 6:10]), Rotation.from_rotvec([0.3, -0.2, 0.9])
+    axis, angle = upright_axis((attitude * offset).as_quat())
+    # the flight's own mean tilt, of a degree, is what remains
+    assert angle == pytest.approx(np.arccos(offset.as_matrix()[2, 2]), abs=0.03)
+    true = attitude.apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(axis - axis.mean(axis=0), true - true.mean(axis=0), atol=2e-3)
+    level, none = upright_axis(attitude.as_quat())
+    assert none == 0.0
+    np.testing.assert_allclose(level, true, atol=1e-12)
+
+
+def test_poses_without_an_attitude_have_no_axis():
+    axis, angle = upright_axis([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0]])
+    assert angle == 0.0
+    assert np.isfinite(axis).all(axis=1).tolist() == [True, False, False]
+    assert np.isnan(upright_axis(np.zeros((2, 4)))[0]).all()
 
 
 def test_a_whole_flight_takes_linear_time():

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.estimators.poses.filter import KINDS, Rows, run
+from fiplib.estimators.poses.filter import KINDS, Rows
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem
-from fiplib.estimators.poses.rows import Body, arm
+from fiplib.estimators.poses.rows import Body, arm, quantum
 
 LEAST_POSES = 64
 """Fewest poses of each body: a quarter of a second at 240 Hz, and never enough to be sure of anything."""
@@ -17,6 +17,12 @@ SHORTEST_ARM = 0.1
 
 LARGEST_LEAN = 0.3
 """Refused above this angle, rad: terms of second order are taken from smoothed poses, which is then too coarse."""
+
+LARGEST_SLOPE = 0.15
+"""Refused above this average lean, rad: a circle of 0.6 m in 6 s leans by 0.07, and the constants hold 0.1."""
+
+LEAST_STEPS = 3.0
+"""Refused where the rod moves against the vehicle by fewer steps of the recorded positions (standard deviation)."""
 
 LARGEST_SPREAD = 0.05
 """Refused above this relative standard deviation: the priors alone, with no motion at all, end at 10 % for 1 m."""
@@ -63,23 +69,48 @@ def check_bodies(vehicle: Body, rod: Body, distance: float) -> None:
             f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot, where it does not move: "
             "track its middle, or record its orientation too"
         )
-    leans = [np.arccos(np.clip(body.axis[:, 2], -1.0, 1.0)) for body in (vehicle, rod) if body.axis is not None]
+    axes = {name: body.axis for body, name in ((vehicle, "vehicle"), (rod, "rod")) if body.axis is not None}
     if distance > SHORTEST_ARM:
-        reach = arm(vehicle, rod)
-        leans.append(np.arctan2(np.linalg.norm(reach[:, :2], axis=1), reach[:, 2]))
-    leaned = max(float(np.quantile(lean, 0.995)) for lean in leans)  # single noisy poses aside
+        axes["rod's tracked point as seen from the vehicle"] = arm(vehicle, rod)
+    leaned = 0.0
+    for name, axis in axes.items():
+        slope = _angle(np.median(axis, axis=0)[None])[0]
+        if slope > LARGEST_SLOPE:
+            raise Refusal(
+                f"frames are not level: the {name} leans by {math.degrees(slope):.0f} deg on average; turn the world's "
+                "frame so that z points up, and the body's frame so that it is level in hover"
+            )
+        leaned = max(leaned, float(np.quantile(_angle(axis), 0.995)))  # single noisy poses aside
     if leaned > LARGEST_LEAN:
         raise Refusal(f"rod or vehicle leans by {math.degrees(leaned):.0f} deg, too far for the model; "
                       "leave out the stretch where it falls")  # fmt: skip
 
 
-def check_motion(fit: Fit, rows: Rows, innovation: NDArray) -> None:
+def check_resolution(vehicle: Body, rod: Body) -> None:
+    """Raise ``Refusal`` if the rod hardly moves by the steps in which positions are recorded."""
+    step = max(quantum(body.position[:, axis]) for body in (vehicle, rod) for axis in range(2))
+    moved = float(np.max(np.std(arm(vehicle, rod)[:, :2], axis=0)))
+    if not math.isfinite(step):
+        raise Refusal("quantisation: one body's recorded position does not change; record it with more digits")
+    if moved < LEAST_STEPS * step:
+        raise Refusal(
+            f"quantisation: the rod moves by {moved / step:.1f} steps of the recorded positions, {1e3 * step:.2g} mm "
+            f"each, not by {LEAST_STEPS:g}; record them with more digits, or move more"
+        )
+
+
+def _angle(axis: NDArray) -> NDArray:
+    """The angle (n,) between vectors (n, 3) and the vertical, rad."""
+    return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), axis[:, 2])
+
+
+def check_motion(fit: Fit, rows: Rows) -> None:
     """Raise ``Refusal`` if there is no maximum, or if something moves as nothing in the model does."""
     if not (fit.converged and np.all(np.isfinite(fit.covariance))):
         raise Refusal(
             "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
         )
-    jump, when = largest_jump(rows.time, innovation)
+    jump, when = largest_jump(rows.time, fit.innovation)
     if jump > LARGEST_JUMP:
         raise Refusal(
             f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
@@ -136,18 +167,18 @@ def check_length(length: float, deviation: float, interval: tuple[float, float])
         )
 
 
-def innovations_of(fit: Fit, rows: Rows) -> tuple[NDArray, dict[str, float]]:
-    """Return the standardised innovations (n, axes), and by kind of row their largest autocorrelation."""
-    innovation = run(rows, fit.theta[None], innovations=True).innovation
+def whiteness_of(fit: Fit, rows: Rows) -> dict[str, float]:
+    """Return by kind of row the largest autocorrelation of its innovations."""
     kinds = [kind for kind in range(len(KINDS)) if rows.has(kind)]
-    return innovation, {KINDS[kind]: _correlation(innovation[rows.kind == kind]) for kind in kinds}
+    return {KINDS[kind]: _correlation(fit.innovation[rows.kind == kind]) for kind in kinds}
 
 
 def _correlation(innovation: NDArray, lags: int = 10) -> float:
     """Largest autocorrelation in absolute value of innovations (n, axes) at lags of 1 to 10 rows."""
     values = innovation[min(len(innovation) // 8, 30) :]  # the first rows only find the state
-    power = float(np.mean(values**2))
-    return max(abs(float(np.mean(values[lag:] * values[:-lag]))) / power for lag in range(1, lags + 1))
+    power = float(np.vdot(values, values)) / len(values)
+    products = (float(np.vdot(values[lag:], values[:-lag])) / (len(values) - lag) for lag in range(1, lags + 1))
+    return max(map(abs, products)) / power
 
 
 def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:

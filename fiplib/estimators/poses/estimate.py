@@ -1,11 +1,11 @@
 """The estimate of a rod's length from the poses of a vehicle and its rod."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from fiplib.dynamics import z_axis
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.checks import tracked, why_no_length
 from fiplib.estimators.poses import checks
@@ -13,7 +13,7 @@ from fiplib.estimators.poses.checks import Refusal
 from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H, R
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem, Value, inertia_factor_of
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, Told, assumptions
-from fiplib.estimators.poses.rows import Body, cleaned, rows_of, without_jumps
+from fiplib.estimators.poses.rows import Body, cleaned, rows_of, upright_axis, without_jumps
 from fiplib.recording import Flight
 
 LARGEST_DOUBT = 3.0
@@ -67,6 +67,14 @@ class PoseEstimate(Estimate):
     notes: tuple[str, ...] = ()
 
 
+class Solution(NamedTuple):
+    """An answer, and the problem and its maximum if it came so far, refused or not."""
+
+    answer: PoseEstimate
+    problem: Problem | None
+    fit: Fit | None
+
+
 def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> PoseEstimate:
     """Return the length of a balanced rod from the poses of two bodies, or why there is none.
 
@@ -79,13 +87,19 @@ def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Po
     Raises:
         ValueError: the vehicle has no positions, or the rod neither positions nor axes.
     """
-    knowledge, found = knowledge or Knowledge(), {"notes": []}
+    return solved(vehicle, rod, knowledge).answer
+
+
+def solved(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> Solution:
+    """Return the estimate with what it was made from; see ``estimate``."""
+    knowledge, found, problem = knowledge or Knowledge(), {"notes": [], "fit": None}, None
     try:
         problem = problem_of(vehicle, rod, knowledge, found["notes"])
         found |= _answered(problem, found)
     except Refusal as refusal:
         found["reason"] = str(refusal)
-    return PoseEstimate(**found | {"notes": tuple(found["notes"])})
+    fit = found.pop("fit")
+    return Solution(PoseEstimate(**found | {"notes": tuple(found["notes"])}), problem, fit)
 
 
 def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
@@ -93,11 +107,16 @@ def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
     if reason := why_no_length(flight):
         return PoseEstimate(reason=reason)
     flight = tracked(flight)
-    bodies = (
-        Body(flight.time(body), body.position, np.column_stack(z_axis(*body.orientation.T)))
-        for body in (flight.vehicle, flight.pendulum)
-    )
-    return estimate(*bodies, knowledge)
+    bodies, notes = [], []
+    for name, body in (("vehicle", flight.vehicle), ("pendulum", flight.pendulum)):
+        axis, turned = upright_axis(body.orientation)
+        bodies.append(Body(flight.time(body), body.position, axis))
+        if turned:
+            notes.append(
+                f"the {name}'s body frame leans by {math.degrees(turned):.0f} deg on average and was set upright"
+            )
+    found = estimate(*bodies, knowledge)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str]) -> Problem:
@@ -125,6 +144,8 @@ def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str])
     if distance < checks.SHORTEST_ARM:
         rod = Body(rod.time, None, rod.axis)
         notes.append("the rod is tracked at its foot: its orientation alone was used")
+    if rod.position is not None:
+        checks.check_resolution(vehicle, rod)
     return Problem(rows_of(vehicle, rod), knowledge, distance)
 
 
@@ -133,9 +154,9 @@ def _answered(problem: Problem, found: dict) -> dict:
     knowledge, doubt = problem.knowledge, 0.0
     untold = knowledge.inertia_factor is None and knowledge.marker_offset is None
     variant = "told" if knowledge.inertia_factor else "middle" if problem.tracked else "uniform"
-    fit = problem.fit(problem.inertia, problem.offset)
-    innovation, whiteness = checks.innovations_of(fit, problem.rows)
-    checks.check_motion(fit, problem.rows, innovation)
+    fit = found["fit"] = problem.fit(problem.inertia, problem.offset)
+    whiteness = checks.whiteness_of(fit, problem.rows)
+    checks.check_motion(fit, problem.rows)
     if untold and problem.tracked:
         # both lengths are true of a uniform rod that is tracked at its middle
         difference = fit.of(lambda t: 2.0 * t[R] - uniform_length_of(t))
@@ -149,7 +170,8 @@ def _answered(problem: Problem, found: dict) -> dict:
                     raise Refusal(_ambiguity(fit.length.value, other.length.value))
                 if other.value > fit.value:
                     fit, variant = other, "uniform"
-                    innovation, whiteness = checks.innovations_of(fit, problem.rows)
+                    found["fit"] = fit
+                    whiteness = checks.whiteness_of(fit, problem.rows)
                 found["notes"].append(
                     f"the rod's {'middle' if variant == 'uniform' else 'inertia'} is not where a uniform rod tracked "
                     "at its middle has it; its reaction on the vehicle tells which"

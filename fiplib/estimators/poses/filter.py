@@ -38,6 +38,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.estimators.poses.lanes import WIDTH, fma, load, room, store
 from fiplib.params import GRAVITY
 
 KINDS = ("vehicle", "tilt", "rod", "direction")
@@ -55,15 +56,13 @@ DYNAMIC, STATES = 7, 10
 LONGEST_STEP = 1e-2
 """Longest step of the prediction, s: its series are right to 1e-7 up to rods of 2 cm."""
 
-LANES = 16
-"""The number of points that are filtered side by side is one or a multiple of this: a whole number of vectors, without
-a remainder, keeps the compiled code twice as fast."""
-
 _NODES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 # the states that each kind of row measures, the first with coefficient one
 _FIRST, _SECOND, _THIRD = np.array([0, 2, 0, 5]), np.array([2, 8, 5, 9]), np.array([8, 8, 7, 9])
-# what follows from the parameters, by row of an array (17, lanes); the last is the first of four noises
+# rows of one stamp that change the covariance at once; integrals of w kept of a step
+_TOGETHER, _INTEGRALS = 4, 12
+# what follows from the parameters, by row of an array (17, WIDTH); the last is the first of four noises
 _PER, _ARM, _SEAT, _KICK, _RHO, _HEIGHT, _BIAS, _A0, _A1, _INTO_W, _INTO_V, _ROOT, _FORCE, _NOISE = range(14)
 
 
@@ -93,23 +92,32 @@ class Rows(NamedTuple):
         """Return some of the rows."""
         return Rows(*(column[keep] for column in self))
 
+    def sparse(self, rate: float) -> "Rows":
+        """Return every so many rows of each kind that about ``rate`` of them a second are left."""
+        kept = np.zeros(len(self.time), dtype=bool)
+        for kind in range(len(KINDS)):
+            found = np.flatnonzero(self.kind == kind)
+            seconds = max(self.time[-1] - self.time[0], 1e-9)
+            kept[found[:: max(1, round(len(found) / seconds / rate))]] = True
+        return self.part(kept)
+
 
 @dataclass
 class State:
-    """Means and covariances of all lanes, and the time they belong to."""
+    """Means (10 axes, WIDTH) and covariances (100, WIDTH), lower half, of all lanes, and the time they belong to."""
 
     clock: NDArray
     x: NDArray
     p: NDArray
 
     @classmethod
-    def at(cls, time: float, lanes: int, axes: int) -> "State":
+    def at(cls, time: float, axes: int) -> "State":
         """Return the state before any row."""
         # wide for any flight, in m, s and rad
         deviations = np.array([1.0, 3.0, 3.0, 10.0, 1000.0, 0.3, 2.0, 0.02, 1.0, 0.1])
-        p = np.zeros((STATES, STATES, lanes))
-        p[np.arange(STATES), np.arange(STATES)] = (deviations**2)[:, None]
-        return cls(np.array([time]), np.zeros((axes, STATES, lanes)), p)
+        p = room(STATES * STATES)
+        p[:: STATES + 1] = (deviations**2)[:, None]
+        return cls(np.array([time]), room(axes * STATES), p)
 
 
 class Pass(NamedTuple):
@@ -129,45 +137,49 @@ def run(
 
     Args:
         rows: the measured rows.
-        theta: parameters (lanes, 16), from ``LE`` to ``LEVER``.
+        theta: parameters (lanes, 16), from ``LE`` to ``LEVER``, of at most ``WIDTH`` lanes.
         steps: (k,) if lane j + 1 differs from lane 0 in one parameter by ``steps[j]``.
         innovations: whether those of lane 0 are wanted.
-        state: where to begin; it is moved on to the last row. It has a multiple of ``LANES`` lanes, or one.
+        state: where to begin; it is moved on to the last row.
 
     Returns:
         Log likelihoods (lanes,); score (k,) and Fisher information (k, k) of lane 0, if there are steps; lane 0's
         standardised innovations (n, axes) and their deviations (n,), if wanted.
     """
     wanted, axes, n = len(theta), rows.value.shape[1], len(rows.time)
-    lanes = 1 if wanted == 1 else -(-wanted // LANES) * LANES
-    theta = np.concatenate([theta, np.repeat(theta[-1:], lanes - wanted, axis=0)])
-    steps = np.zeros(0) if steps is None else steps
-    state = state or State.at(rows.time[0], lanes, axes)
-    k, kept = len(steps), n if innovations else 0
-    out = Pass(np.zeros(lanes), np.zeros(k), np.zeros((k, k)), np.zeros((kept, axes)), np.zeros(kept))
-    _recursion(*rows, theta, steps, state.clock, state.x, state.p, *out, (0,) * lanes)
-    return out._replace(total=out.total[:wanted], fisher=np.tril(out.fisher) + np.tril(out.fisher, -1).T)
+    theta = np.concatenate([theta, np.repeat(theta[-1:], WIDTH - wanted, axis=0)])
+    k, kept = 0 if steps is None else len(steps), n if innovations else 0
+    rates = room(1)
+    if k:
+        rates[0, 1 : k + 1] = 1.0 / steps
+    state = state or State.at(rows.time[0], axes)
+    total, score, fisher = np.zeros(WIDTH), room(1), room(WIDTH)
+    innovation, deviation = np.zeros((kept, axes)), np.zeros(kept)
+    moved = state.clock, state.x, state.p
+    _recursion(*rows, theta, rates, k > 0, *moved, total, score, fisher, innovation, deviation)
+    inner = slice(1, k + 1)
+    return Pass(total[:wanted], score[0, inner], fisher[inner, inner], innovation, deviation)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _recursion(
-    time, kind, value, scale, lift, spin, pull, turn, tilt, theta, steps, clock, x, p, total, score, fisher, innovation,
-    deviation, sized,
+    time, kind, value, scale, lift, spin, pull, turn, tilt, theta, rates, differentiate, clock, x, p, total, score,
+    fisher, innovation, deviation,
 ):  # fmt: skip # pragma: no cover - compiled
-    """Move ``clock`` (1,), ``x`` (axes, 10, lanes) and ``p`` (10, 10, lanes), lower half, over all rows.
+    """Move ``clock`` (1,), ``x`` (10 axes, WIDTH) and ``p`` (100, WIDTH), lower half, over all rows.
 
-    ``sized`` is any tuple of as many items as there are lanes: the compiler then knows their number.
+    The inverse steps are ``rates`` (1, WIDTH).
     """
-    rows, axes, lanes = value.shape[0], value.shape[1], len(sized)
-    c, same = _unpacked(theta, sized)
+    rows, axes = value.shape
+    c, fastest = _unpacked(theta)
     # steps of four lengths are kept: two bodies, each stamped on its own, take turns
     ages, slot, oldest = np.full(4, -1.0), 0, 0
-    integrals, noise = np.empty((4, 2, 6, lanes)), np.zeros((4, DYNAMIC, DYNAMIC, lanes))
-    f, fp = np.empty((23, lanes)), np.empty((STATES, DYNAMIC, lanes))
-    old, new = np.empty((DYNAMIC, lanes)), np.empty((DYNAMIC, lanes))
-    ph, gain, nu = np.empty((STATES, lanes)), np.empty((STATES, lanes)), np.empty((axes, lanes))
-    second, third, variance, inverse = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    for row in range(rows):
+    integrals, noise = room(4 * _INTEGRALS), room(4 * STATES * STATES)
+    f, fp, ph, gain = room(23), room(STATES * STATES), room(_TOGETHER * STATES), room(_TOGETHER * STATES)
+    nu, slopes, variances, products, chis = room(axes), room(axes + 1), room(1), room(1), room(1)
+    products[:] = 1.0
+    row = factors = 0
+    while row < rows:
         gap = time[row] - clock[0]
         if gap > 0.0:
             pieces = math.ceil(gap / LONGEST_STEP - 1e-9)
@@ -179,62 +191,85 @@ def _recursion(
             if slot < 0:
                 slot, oldest = oldest, (oldest + 1) % 4
                 ages[slot] = t
-                _prepare(t, c, same, integrals[slot], noise[slot], sized)
-            _transition(t, lift[row], spin[row], turn[row], c, integrals[slot], f, sized)
+                _prepare(t, c, fastest, integrals, slot * _INTEGRALS, noise, slot * STATES * STATES, fp)
+            _transition(t, lift[row], spin[row], turn[row], c, integrals, slot * _INTEGRALS, f)
             for _ in range(pieces):
-                _predict(f, x, p, noise[slot], old, new, fp, sized)
+                _predict(f, x, p, noise, slot * STATES * STATES, fp)
             clock[0] = time[row]
-
-        which = kind[row]
-        i1, i2, i3 = _FIRST[which], _SECOND[which], _THIRD[which]
-        for lane in range(lanes):
-            bias = c[_BIAS, lane] / pull[row]
+        # rows of the same stamp one by one; the covariance is changed once, for all of them
+        count = 0
+        while row < rows and count < _TOGETHER and time[row] <= clock[0]:
+            which = kind[row]
+            i1, i2, i3 = _FIRST[which], _SECOND[which], _THIRD[which]
+            bias = load(c, _BIAS) / pull[row]
             if which == VEHICLE:
-                second[lane], third[lane] = bias - c[_HEIGHT, lane] / pull[row], bias
+                second, third = bias - load(c, _HEIGHT) / pull[row], bias
             elif which == ROD:
-                second[lane], third[lane] = c[_RHO, lane], 1.0
+                second, third = load(c, _RHO), bias * 0.0 + 1.0
             else:
-                second[lane], third[lane] = 1.0, 0.0
+                second, third = bias * 0.0 + 1.0, bias * 0.0
             for axis in range(axes):
-                expected = x[axis, i1, lane] + second[lane] * x[axis, i2, lane] + third[lane] * x[axis, i3, lane]
-                nu[axis, lane] = value[row, axis] + bias * tilt[row, axis] - expected
-        for i in range(STATES):
-            a1, b1, a2, b2, a3, b3 = max(i, i1), min(i, i1), max(i, i2), min(i, i2), max(i, i3), min(i, i3)
-            for lane in range(lanes):
-                ph[i, lane] = p[a1, b1, lane] + second[lane] * p[a2, b2, lane] + third[lane] * p[a3, b3, lane]
-        factor = scale[row] * scale[row]
-        for lane in range(lanes):
-            variance[lane] = ph[i1, lane] + second[lane] * ph[i2, lane] + third[lane] * ph[i3, lane]
-            variance[lane] += factor * c[_NOISE + which, lane]
-            inverse[lane] = 1.0 / variance[lane]
-        for i in range(STATES):
-            for lane in range(lanes):
-                gain[i, lane] = ph[i, lane] * inverse[lane]
+                first = axis * STATES
+                expected = fma(third, load(x, first + i3), fma(second, load(x, first + i2), load(x, first + i1)))
+                store(nu, axis, fma(bias, tilt[row, axis], value[row, axis] - expected))
+            now = count * STATES
+            for i in range(STATES):
+                found = fma(second, load(p, _at(i, i2)), load(p, _at(i, i1)))
+                store(ph, now + i, fma(third, load(p, _at(i, i3)), found))
+            for before in range(0, now, STATES):
+                along = fma(second, load(ph, before + i2), load(ph, before + i1))
+                along = fma(third, load(ph, before + i3), along)
+                for i in range(STATES):
+                    store(ph, now + i, load(ph, now + i) - load(gain, before + i) * along)
+            variance = fma(second, load(ph, now + i2), load(ph, now + i1))
+            variance = fma(third, load(ph, now + i3), variance)
+            variance = fma(load(c, _NOISE + which), scale[row] * scale[row], variance)
+            inverse = 1.0 / variance
+            store(variances, 0, variance)
+            store(products, 0, load(products, 0) * variance)
+            for i in range(STATES):
+                store(gain, now + i, load(ph, now + i) * inverse)
             for axis in range(axes):
-                for lane in range(lanes):
-                    x[axis, i, lane] += gain[i, lane] * nu[axis, lane]
-            for j in range(i + 1):
-                for lane in range(lanes):
-                    p[i, j, lane] -= gain[i, lane] * ph[j, lane]
-        for lane in range(lanes):
-            chi = 0.0
-            for axis in range(axes):
-                chi += nu[axis, lane] * nu[axis, lane]
-            total[lane] -= 0.5 * (axes * math.log(6.283185307179586 * variance[lane]) + chi * inverse[lane])
-        if innovation.shape[0]:
-            deviation[row] = math.sqrt(variance[0])
-            for axis in range(axes):
-                innovation[row, axis] = nu[axis, 0] * math.sqrt(inverse[0])
-        if steps.shape[0]:
-            _differentiate(nu, variance, inverse[0], steps, score, fisher)
+                surprise, first = load(nu, axis), axis * STATES
+                store(chis, 0, fma(surprise * inverse, surprise, load(chis, 0)))
+                for i in range(STATES):
+                    store(x, first + i, fma(load(gain, now + i), surprise, load(x, first + i)))
+            if innovation.shape[0]:
+                deviation[row] = math.sqrt(variances[0, 0])
+                for axis in range(axes):
+                    innovation[row, axis] = nu[axis, 0] / deviation[row]
+            if differentiate:
+                _differentiate(nu, variances, rates, slopes, score, fisher)
+            row += 1
+            count += 1
+        for step in range(0, count * STATES, STATES):
+            for i in range(STATES):
+                factor = load(gain, step + i)
+                for j in range(i + 1):
+                    at = i * STATES + j
+                    store(p, at, load(p, at) - factor * load(ph, step + j))
+        factors += count
+        if factors > 12 or row == rows:
+            # variances above 1e-15, 16 of them, are far from the smallest double
+            for lane in range(WIDTH):
+                total[lane] -= 0.5 * axes * math.log(products[0, lane])
+            store(products, 0, 1.0)
+            factors = 0
+    for lane in range(WIDTH):
+        total[lane] -= 0.5 * (axes * rows * math.log(2.0 * math.pi) + chis[0, lane])
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _at(i, j):  # pragma: no cover - compiled
+    """Return where an element of a symmetric matrix lies in its lower half."""
+    return max(i, j) * STATES + min(i, j)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _unpacked(theta, sized):  # pragma: no cover - compiled
-    """What follows from the parameters; and the lane whose integrals of w a lane shares, often its own."""
-    lanes = len(sized)
-    c, same = np.empty((17, lanes)), np.empty(lanes, np.int64)
-    for lane in range(lanes):
+def _unpacked(theta):  # pragma: no cover - compiled
+    """Return what follows from the parameters; and rate and square of rate that bound those of w in all lanes."""
+    c, fastest = room(17), np.zeros(2)
+    for lane in range(WIDTH):
         r, mu, omega = theta[lane, R], theta[lane, MU], math.exp(theta[lane, OMEGA])
         c[_PER, lane] = math.exp(-theta[lane, LE])
         c[_ARM, lane] = mu * r
@@ -250,177 +285,171 @@ def _unpacked(theta, sized):  # pragma: no cover - compiled
         c[_FORCE, lane] = math.exp(theta[lane, NF])
         for which in range(4):
             c[_NOISE + which, lane] = math.exp(2.0 * theta[lane, NV + which])
-        same[lane] = lane
-        for other in range(lane - 1, -1, -1):
-            shared = True
-            for i in range(OMEGA, ZERO + 1):
-                shared &= theta[other, i] == theta[lane, i]
-            if shared:
-                same[lane] = other
-    return c, same
+        fastest[0] = max(fastest[0], c[_A1, lane])
+        fastest[1] = max(fastest[1], c[_A0, lane])
+    return c, fastest
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _integrals(t, a0, a1, w, v, out):  # pragma: no cover - compiled
-    """w(t), w'(t) and the one- to fourfold integrals of w'' = -a1 w' - a0 w from (w, v), into out (6,).
+def _integrals(t, c, fastest, w, v, out, first):  # pragma: no cover - compiled
+    """Write w(t), w'(t) and the one- to fourfold integrals of w'' = -a1 w' - a0 w from (w, v) into rows of ``out``.
 
     By its power series: exact formulas lose all digits in steps of microseconds.
     """
-    for i in range(6):
-        out[i] = 0.0
-    now, after = w, v
+    a0, a1 = load(c, _A0), load(c, _A1)
+    zero = a0 * 0.0
+    s0, s1, s2, s3, s4, s5 = zero, zero, zero, zero, zero, zero
     power = 1.0  # t^j / j!
-    for j in range(24):
-        out[0] += now * power
-        out[1] += after * power
+    size, after = 1.0, 1.0 + fastest[0] * t  # bounds of the next terms of w and of w' t
+    for j in range(40):
         p1 = power * t / (j + 1)
         p2 = p1 * t / (j + 2)
         p3 = p2 * t / (j + 3)
-        out[2] += now * p1
-        out[3] += now * p2
-        out[4] += now * p3
-        out[5] += now * p3 * t / (j + 4)
-        now, after = after, -a1 * after - a0 * now
+        s0, s1, s2 = fma(w, power, s0), fma(v, power, s1), fma(w, p1, s2)
+        s3, s4, s5 = fma(w, p2, s3), fma(w, p3, s4), fma(w, p3 * t / (j + 4), s5)
+        w, v = v, zero - fma(a1, v, a0 * w)
         power = p1
-        if abs(now * p1) + abs(after * p1) < 1e-15 * (abs(out[0]) + abs(out[1])):
+        size, after = after / (j + 1), (fastest[0] * t * after + fastest[1] * t * t * size) / (j + 1)
+        if size + after < 1e-13:
             break
+    store(out, first, s0)
+    store(out, first + 1, s1)
+    store(out, first + 2, s2)
+    store(out, first + 3, s3)
+    store(out, first + 4, s4)
+    store(out, first + 5, s5)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _prepare(t, c, same, kept, noise, sized):  # pragma: no cover - compiled
-    """Write integrals of w (2, 6, lanes), from (1, 0) and from (0, 1), and the process noise of a step of t s."""
-    lanes = len(sized)
-    one, spread, impulse = np.empty(6), np.empty((6, lanes)), np.empty((DYNAMIC, lanes))
-    for start in range(2):
-        for lane in range(lanes):
-            if same[lane] == lane:
-                _integrals(t, c[_A0, lane], c[_A1, lane], 1.0 - start, 1.0 * start, one)
-            for i in range(6):
-                kept[start, i, lane] = one[i] if same[lane] == lane else kept[start, i, same[lane]]
-    noise[:] = 0.0
+def _prepare(t, c, fastest, kept, first, noise, where, work):  # pragma: no cover - compiled
+    """Write integrals of w (12, WIDTH), from (1, 0) and from (0, 1), and the process noise of a step of t s.
+
+    They go into ``kept`` from row ``first`` on, and into ``noise`` from row ``where`` on;
+    ``work`` (27, WIDTH) is room to work in.
+    """
+    spread = 3 * DYNAMIC
+    per, arm, h = load(c, _PER), load(c, _ARM), load(c, _SEAT) / GRAVITY
+    hq, w2, kick = h * per, GRAVITY * per, h * load(c, _KICK)
+    zero = per * 0.0
+    one = zero + 1.0
+    _integrals(t, c, fastest, one, zero, kept, first)
+    _integrals(t, c, fastest, zero, one, kept, first + 6)
     for node in range(3):
-        weight = math.sqrt(t * _WEIGHTS[node])
-        for lane in range(lanes):
-            if same[lane] == lane:
-                _integrals(t * _NODES[node], c[_A0, lane], c[_A1, lane], c[_INTO_W, lane], c[_INTO_V, lane], one)
-            for i in range(6):
-                spread[i, lane] = one[i] if same[lane] == lane else spread[i, same[lane]]
-        for lane in range(lanes):
-            root, per, h = weight * c[_ROOT, lane], c[_PER, lane], c[_SEAT, lane] / GRAVITY
-            hq, w2 = h * per, GRAVITY * per
-            k1, k2, k3, k4 = spread[2, lane], spread[3, lane], spread[4, lane], spread[5, lane]
-            impulse[0, lane] = root * (k3 + h * c[_KICK, lane] * k1 + c[_ARM, lane] * (per + hq * w2) * k3)
-            impulse[1, lane] = root * k2
-            impulse[2, lane] = root * k1
-            impulse[3, lane] = root * spread[0, lane]
-            impulse[4, lane] = root * spread[1, lane]
-            impulse[5, lane] = -root * (hq * (k1 + w2 * k3) + k3 * per)
-            impulse[6, lane] = -root * ((k2 + w2 * k4) * per + hq * w2 * k2)
+        first = node * DYNAMIC
+        root = math.sqrt(t * _WEIGHTS[node]) * load(c, _ROOT)
+        _integrals(t * _NODES[node], c, fastest, load(c, _INTO_W), load(c, _INTO_V), work, spread)
+        k1, k2, k3, k4 = load(work, spread + 2), load(work, spread + 3), load(work, spread + 4), load(work, spread + 5)
+        store(work, first, root * (k3 + kick * k1 + arm * (per + hq * w2) * k3))
+        store(work, first + 1, root * k2)
+        store(work, first + 2, root * k1)
+        store(work, first + 3, root * load(work, spread))
+        store(work, first + 4, root * load(work, spread + 1))
+        store(work, first + 5, zero - root * (hq * (k1 + w2 * k3) + k3 * per))
+        store(work, first + 6, zero - root * ((k2 + w2 * k4) * per + hq * w2 * k2))
+    for i in range(DYNAMIC):
+        for j in range(i + 1):
+            total = load(work, i) * load(work, j)
+            for node in range(DYNAMIC, 3 * DYNAMIC, DYNAMIC):
+                total = fma(load(work, node + i), load(work, node + j), total)
+            store(noise, where + i * STATES + j, total)
+    force, lean, rate = load(c, _FORCE), where + 5 * STATES + 5, where + 6 * STATES + 5
+    store(noise, lean, fma(force, t * t * t / 3.0, load(noise, lean)))
+    store(noise, rate, fma(force, t * t / 2.0, load(noise, rate)))
+    store(noise, rate + 1, fma(force, t, load(noise, rate + 1)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _transition(t, lift, spin, turn, c, kept, where, f):  # pragma: no cover - compiled
+    """Write the coefficients (23, WIDTH) of ``_move`` for a step of t s, from ``_prepare``'s integrals."""
+    per, arm, h = load(c, _PER), load(c, _ARM), load(c, _SEAT) * turn
+    hs, hq = h * load(c, _KICK), h * per
+    w2 = lift * per - spin
+    z = w2 * (t * t)
+    one = z / 2.0 + z * z / 24.0
+    qb = t * (1.0 + z / 6.0 + z * z / 120.0)
+    qu = (-t * t / 2.0) * (1.0 + z / 12.0 + z * z / 360.0) * per
+    zero = z * 0.0
+    store(f, 0, t)
+    store(f, 1, t * t / 2.0 - arm * qu)
+    store(f, 4, zero - arm * one)
+    store(f, 5, zero - arm * qb)
+    store(f, 14, 1.0 + one)
+    store(f, 15, qb)
+    store(f, 16, qu)
+    store(f, 19, w2 * qb)
+    store(f, 20, zero - qb * per)
+    for start in range(2):
+        first = where + 6 * start
+        k1, k2, k3, k4 = load(kept, first + 2), load(kept, first + 3), load(kept, first + 4), load(kept, first + 5)
+        store(f, 2 + start, k3 + hs * k1 + arm * (per + hq * w2) * k3)
+        store(f, 6 + start, k2)
+        store(f, 8 + start, k1)
+        store(f, 10 + start, load(kept, first))
+        store(f, 12 + start, load(kept, first + 1))
+        store(f, 17 + start, zero - hq * (k1 + w2 * k3) - k3 * per)
+        store(f, 21 + start, zero - (k2 + w2 * k4) * per - hq * w2 * k2)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _move(f, before, first, stride, after, to):  # pragma: no cover - compiled
+    """Move the dynamic states in rows first, first + stride ... of ``before`` on, into rows to, to + 1 ... ."""
+    n, u, w = load(before, first + stride), load(before, first + 2 * stride), load(before, first + 3 * stride)
+    v, q, b = load(before, first + 4 * stride), load(before, first + 5 * stride), load(before, first + 6 * stride)
+    s = fma(load(f, 0), n, load(before, first))
+    s = fma(load(f, 3), v, fma(load(f, 2), w, fma(load(f, 1), u, s)))
+    store(after, to, fma(load(f, 5), b, fma(load(f, 4), q, s)))
+    store(after, to + 1, fma(load(f, 7), v, fma(load(f, 6), w, fma(load(f, 0), u, n))))
+    store(after, to + 2, fma(load(f, 9), v, fma(load(f, 8), w, u)))
+    store(after, to + 3, fma(load(f, 11), v, load(f, 10) * w))
+    store(after, to + 4, fma(load(f, 13), v, load(f, 12) * w))
+    lean = fma(load(f, 16), u, fma(load(f, 15), b, load(f, 14) * q))
+    store(after, to + 5, fma(load(f, 18), v, fma(load(f, 17), w, lean)))
+    rate = fma(load(f, 20), u, fma(load(f, 14), b, load(f, 19) * q))
+    store(after, to + 6, fma(load(f, 22), v, fma(load(f, 21), w, rate)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _predict(f, x, p, noise, where, fp):  # pragma: no cover - compiled
+    """Move means and the lower half of the covariances, F P F' + Q, with Q from row ``where`` of ``noise`` on.
+
+    ``fp`` (100, WIDTH) is room to work in.
+    """
+    for first in range(0, len(x), STATES):
+        _move(f, x, first, 1, fp, 0)
         for i in range(DYNAMIC):
-            for j in range(i + 1):
-                for lane in range(lanes):
-                    noise[i, j, lane] += impulse[i, lane] * impulse[j, lane]
-    for lane in range(lanes):
-        noise[5, 5, lane] += c[_FORCE, lane] * t * t * t / 3.0
-        noise[6, 5, lane] += c[_FORCE, lane] * t * t / 2.0
-        noise[6, 6, lane] += c[_FORCE, lane] * t
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _transition(t, lift, spin, turn, c, kept, f, sized):  # pragma: no cover - compiled
-    """Write the coefficients (23, lanes) of ``_move`` for a step of t s."""
-    for lane in range(len(sized)):
-        per, arm, h = c[_PER, lane], c[_ARM, lane], c[_SEAT, lane] * turn
-        hs, hq = h * c[_KICK, lane], h * per
-        w2 = lift * per - spin
-        z = w2 * t * t
-        one = z / 2.0 + z * z / 24.0
-        qb = t * (1.0 + z / 6.0 + z * z / 120.0)
-        qu = -(t * t / 2.0) * (1.0 + z / 12.0 + z * z / 360.0) * per
-        f[0, lane] = t
-        f[1, lane] = t * t / 2.0 - arm * qu
-        f[4, lane] = -arm * one
-        f[5, lane] = -arm * qb
-        f[14, lane] = 1.0 + one
-        f[15, lane] = qb
-        f[16, lane] = qu
-        f[19, lane] = w2 * qb
-        f[20, lane] = -qb * per
-        for start in range(2):
-            k1, k2, k3, k4 = kept[start, 2, lane], kept[start, 3, lane], kept[start, 4, lane], kept[start, 5, lane]
-            f[2 + start, lane] = k3 + hs * k1 + arm * (per + hq * w2) * k3
-            f[6 + start, lane] = k2
-            f[8 + start, lane] = k1
-            f[10 + start, lane] = kept[start, 0, lane]
-            f[12 + start, lane] = kept[start, 1, lane]
-            f[17 + start, lane] = -hq * (k1 + w2 * k3) - k3 * per
-            f[21 + start, lane] = -(k2 + w2 * k4) * per - hq * w2 * k2
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _move(f, before, after, sized):  # pragma: no cover - compiled
-    """Write the dynamic states (7, lanes) after a step."""
-    for lane in range(len(sized)):
-        t = f[0, lane]
-        n, u, w, v = before[1, lane], before[2, lane], before[3, lane], before[4, lane]
-        q, b = before[5, lane], before[6, lane]
-        after[0, lane] = (
-            before[0, lane] + t * n + f[1, lane] * u + f[2, lane] * w + f[3, lane] * v + f[4, lane] * q + f[5, lane] * b
-        )
-        after[1, lane] = n + t * u + f[6, lane] * w + f[7, lane] * v
-        after[2, lane] = u + f[8, lane] * w + f[9, lane] * v
-        after[3, lane] = f[10, lane] * w + f[11, lane] * v
-        after[4, lane] = f[12, lane] * w + f[13, lane] * v
-        after[5, lane] = f[14, lane] * q + f[15, lane] * b + f[16, lane] * u + f[17, lane] * w + f[18, lane] * v
-        after[6, lane] = f[19, lane] * q + f[14, lane] * b + f[20, lane] * u + f[21, lane] * w + f[22, lane] * v
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _predict(f, x, p, noise, old, new, fp, sized):  # pragma: no cover - compiled
-    """Move means and the lower half of the covariances, F P F' + Q; ``old``, ``new`` and ``fp`` are room to work in."""
-    lanes = len(sized)
-    for axis in range(x.shape[0]):
-        _move(f, x[axis], new, sized)
-        for i in range(DYNAMIC):
-            for lane in range(lanes):
-                x[axis, i, lane] = new[i, lane]
+            store(x, first + i, load(fp, i))
+    for i in range(DYNAMIC):  # the upper half of what moves, too
+        for j in range(i):
+            store(p, j * STATES + i, load(p, i * STATES + j))
     for j in range(STATES):
-        for i in range(DYNAMIC):
-            high, low = max(i, j), min(i, j)
-            for lane in range(lanes):
-                old[i, lane] = p[high, low, lane]
-        _move(f, old, fp[j], sized)
+        _move(f, p, j * STATES, 1, fp, j * STATES)
     for j in range(DYNAMIC, STATES):
         for i in range(DYNAMIC):
-            for lane in range(lanes):
-                p[j, i, lane] = fp[j, i, lane]
+            store(p, j * STATES + i, load(fp, j * STATES + i))
     for i in range(DYNAMIC):
-        for j in range(DYNAMIC):
-            for lane in range(lanes):
-                old[j, lane] = fp[j, i, lane]
-        _move(f, old, new, sized)
+        _move(f, fp, i, STATES, p, i * STATES)
         for j in range(i + 1):
-            for lane in range(lanes):
-                p[i, j, lane] = new[j, lane] + noise[i, j, lane]
+            at = i * STATES + j
+            store(p, at, load(p, at) + load(noise, where + at))
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _differentiate(nu, variance, inverse, steps, score, fisher):  # pragma: no cover - compiled
-    """Add a row's share to the score and to the lower half of the Fisher information."""
-    axes, k = nu.shape[0], steps.shape[0]
+@numba.njit(cache=True, error_model="numpy")
+def _differentiate(nu, variances, rates, slopes, score, fisher):  # pragma: no cover - compiled
+    """Add a row's share to the score (1, WIDTH) and to the Fisher information (WIDTH, WIDTH) of lane 0."""
+    axes, rate = len(nu), load(rates, 0)
+    inverse = 1.0 / variances[0, 0]
     root, chi = math.sqrt(inverse), 0.0
-    dnu, ds = np.empty((axes, k)), np.empty(k)
+    gradient = load(score, 0)
     for axis in range(axes):
         chi += nu[axis, 0] * nu[axis, 0]
-    for j in range(k):
-        ds[j] = (variance[j + 1] - variance[0]) / steps[j] * inverse
-        g = 0.5 * ds[j] * (chi * inverse - axes)
-        for axis in range(axes):
-            dnu[axis, j] = (nu[axis, j + 1] - nu[axis, 0]) / steps[j] * root
-            g -= nu[axis, 0] * root * dnu[axis, j]
-        score[j] += g
-        for i in range(j + 1):
-            information = 0.5 * axes * ds[i] * ds[j]
-            for axis in range(axes):
-                information += dnu[axis, i] * dnu[axis, j]
-            fisher[j, i] += information
+        slope = (load(nu, axis) - nu[axis, 0]) * rate * root
+        gradient = gradient - slope * (nu[axis, 0] * root)
+        store(slopes, axis, slope)
+    slope = (load(variances, 0) - variances[0, 0]) * rate * inverse
+    store(score, 0, fma(slope, 0.5 * (chi * inverse - axes), gradient))
+    store(slopes, axes, slope * math.sqrt(0.5 * axes))
+    for i in range(WIDTH):
+        information = load(fisher, i)
+        for k in range(axes + 1):
+            information = fma(load(slopes, k), slopes[k, i], information)
+        store(fisher, i, information)

@@ -1,7 +1,7 @@
 """The maximum a posteriori: priors, a coarse grid to start from, and Fisher scoring.
 
 The recursion runs for one point and for its neighbours side by side, so that one pass over the rows gives the
-likelihood, its gradient and the Fisher information.
+likelihood, its gradient and the Fisher information. The search begins on a few poses a second and ends on all of them.
 """
 
 import math
@@ -24,8 +24,11 @@ TOLD = ("inertia factor", "tracked point of the rod", "seat height", "height of 
 STEP = 1e-5
 """Distance of the neighbours."""
 
-LEAD = 20.0
-"""Length in s of the first part of a long flight, on which the search starts."""
+SPARSE, LEAD = 60.0, 20.0
+"""Poses of each body a second, and s from the first one, on which the search starts."""
+
+CLOSE = 3.0
+"""Squared distance in standard deviations from the maximum over few poses at which the search goes on with more."""
 
 FORCE_FREE = 1e-12
 """Density of the white force on the rod where none is assumed, rad^2/s^3."""
@@ -71,7 +74,10 @@ class Prior(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """A maximum a posteriori: all parameters, which of them are free, the covariance of those, the log posterior."""
+    """A maximum a posteriori: all parameters, which of them are free, the covariance of those, the log posterior.
+
+    ``innovation`` (n, axes) are the standardised innovations.
+    """
 
     theta: NDArray
     free: NDArray
@@ -79,6 +85,7 @@ class Fit:
     value: float
     prior: Prior
     converged: bool
+    innovation: NDArray
 
     def of(self, function: Callable[[NDArray], NDArray]) -> Value:
         """Return a function of the parameters at the maximum, and its standard deviation to first order."""
@@ -120,14 +127,14 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance:
     """Fisher scoring from theta (16,) over the ``free`` parameters, with shorter steps where full ones go too far."""
     steps = np.full(len(free), STEP)
 
-    def evaluate(point: NDArray) -> tuple[float, NDArray, NDArray]:
+    def evaluate(point: NDArray) -> tuple[float, NDArray, NDArray, NDArray]:
         lanes = neighbours(point, free)
-        out = run(rows, lanes, steps)
+        out = run(rows, lanes, steps, innovations=True)
         deviations, slopes = prior.at(lanes)
         value = float(out.total[0] - 0.5 * deviations @ deviations)
-        return value, out.score - slopes @ deviations, out.fisher + slopes @ slopes.T
+        return value, out.score - slopes @ deviations, out.fisher + slopes @ slopes.T, out.innovation
 
-    value, score, information = evaluate(theta)
+    value, score, information, innovation = evaluate(theta)
     relaxation, passes, converged = 1.0, 1, False
     while passes < 40 and relaxation > 1e-3:
         full = inverse(information) @ score
@@ -145,8 +152,8 @@ def maximise(rows: Rows, theta: NDArray, free: NDArray, prior: Prior, tolerance:
         if not better or after[1] @ step < -0.3 * (score @ step):
             relaxation /= 2.0
         if better:
-            theta, (value, score, information) = trial, after
-    return Fit(theta, free, inverse(information), value, prior, converged)
+            theta, (value, score, information, innovation) = trial, after
+    return Fit(theta, free, inverse(information), value, prior, converged, innovation)
 
 
 class Problem:
@@ -161,6 +168,7 @@ class Problem:
     def __init__(self, rows: Rows, knowledge: Knowledge, distance: float = math.nan) -> None:
         self.rows, self.knowledge, self.distance = rows, knowledge, distance
         self.flies, self.tracked = rows.has(kf.TILT), rows.has(kf.ROD)
+        self._few = rows.part(rows.time < rows.time[0] + LEAD).sparse(SPARSE)
         self._start = self._grid()
 
     @property
@@ -190,10 +198,8 @@ class Problem:
             free.append(kf.NF)
             theta[kf.NF] = math.log(0.1)
         free, prior = np.array(sorted(free)), self._prior(inertia, offset)
-        first = int(np.searchsorted(self.rows.time, self.rows.time[0] + LEAD))
-        if first < len(self.rows.time) // 2:
-            # a long flight: its first part brings the search close, two passes over all of it finish
-            theta = maximise(self.rows.part(slice(first)), theta, free, prior).theta
+        if len(self._few.time) < len(self.rows.time):
+            theta = maximise(self._few, theta, free, prior, CLOSE).theta
         return maximise(self.rows, theta, free, prior)
 
     def _prior(self, inertia: Told, offset: Told) -> Prior:
@@ -210,7 +216,7 @@ class Problem:
 
     def _grid(self) -> NDArray:
         """Return the best of a coarse grid over L_e, on the first 2.5 s."""
-        rows, knowledge = self.rows, self.knowledge
+        rows, knowledge = self._few, self.knowledge
         lengths = np.geomspace(knowledge.lengths[0] / 3.0, knowledge.lengths[1], 16)
         seat = knowledge.seat_height.value if self.flies else 0.0
         lanes = np.zeros((16, kf.LEVER + 1))

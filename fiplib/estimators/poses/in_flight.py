@@ -9,7 +9,7 @@ import numpy as np
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses import checks
 from fiplib.estimators.poses.estimate import estimate, problem_of
-from fiplib.estimators.poses.filter import LANES, LEVER, run
+from fiplib.estimators.poses.filter import LEVER, run
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.profile import Profile
 from fiplib.estimators.poses.rows import Body, rows_of
@@ -51,8 +51,7 @@ def load() -> None:
     """Compile the filter, or load what an earlier call has compiled: some 30 s, then half a second, not in flight."""
     still = Body(0.01 * np.arange(8.0), np.zeros((8, 3)), np.tile([0.0, 0.0, 1.0], (8, 1)))
     rows = rows_of(still, still._replace(position=still.position + still.axis))
-    run(rows, np.zeros((1, LEVER + 1)), innovations=True)
-    run(rows, np.zeros((LANES, LEVER + 1)), np.ones(LANES - 1))
+    run(rows, np.zeros((2, LEVER + 1)), np.ones(1), innovations=True)
 
 
 class InFlight:
@@ -104,7 +103,7 @@ class InFlight:
     def _answer(self, stream: Stream, knowledge: Knowledge) -> Estimate:
         """The stream's length, unless something speaks against it."""
         length, deviation = stream.length
-        jump, _ = stream.jump
+        jump = stream.jump
         try:
             if not (math.isfinite(length) and math.isfinite(deviation)):
                 raise checks.Refusal(

@@ -13,7 +13,7 @@ from fiplib.estimators.poses.estimate import PoseEstimate, answer, described
 from fiplib.estimators.poses.filter import DIRECTION, LE, VEHICLE
 from fiplib.estimators.poses.fit import Problem, Value
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, assumptions
-from fiplib.estimators.poses.rows import HALF, Body, cleaned, sorted_rows
+from fiplib.estimators.poses.rows import HALF, Body, cleaned, quantum, sorted_rows
 from fiplib.estimators.poses.smoothing import parabolas
 from fiplib.params import GRAVITY, FipError
 
@@ -92,13 +92,13 @@ def _answered(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float, 
     problem = _problem(base, angle, knowledge, arm_radius)
     told = knowledge.inertia_factor or UNIFORM
     fit = problem.fit(told, ANY_OFFSET)
-    innovation, whiteness = checks.innovations_of(fit, problem.rows)
+    whiteness = checks.whiteness_of(fit, problem.rows)
     fields, extra = described(fit, problem), 0.0
     variant = "told" if knowledge.inertia_factor else "uniform"
     found |= {"whiteness": whiteness, "noise": fields["noise"]}
     found["assumed"] = assumptions(variant, told, ANY_OFFSET, knowledge, False, math.nan)
     correlation = max(whiteness.values())
-    jump, _ = checks.largest_jump(problem.rows.time, innovation)
+    jump, _ = checks.largest_jump(problem.rows.time, fit.innovation)
     if correlation > checks.LARGEST_CORRELATION or jump > checks.LARGEST_JUMP:
         extra = abs(problem.fit(told, ANY_OFFSET, force=True).theta[LE] - fit.theta[LE])
         found["notes"].append(
@@ -126,7 +126,7 @@ def _problem(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float) -
     if min(len(base.time), len(angle.time)) < checks.LEAST_POSES:
         raise Refusal(f"too few samples: at least {checks.LEAST_POSES} of each sensor are needed; record longer")
     place, sine = base.position - base.position[0], np.sin(angle.position)
-    quanta = [_quantum(place[:, 0]), _quantum(angle.position[:, 0])]
+    quanta = [quantum(place[:, 0]), quantum(angle.position[:, 0])]
     moved = float(np.std(angle.position))
     if moved < LEAST_QUANTA * quanta[1]:
         raise Refusal(
@@ -142,13 +142,5 @@ def _problem(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float) -
     parts = [(VEHICLE, base.time, place, None), (DIRECTION, angle.time, sine, None)]
     weight = np.full(len(events), GRAVITY)
     rows = sorted_rows(parts, events, (lift, spin, weight, 1.0 / weight))
-    floor = [max(quantum / math.sqrt(12.0), noise) for quantum, noise in zip(quanta, knowledge.noise, strict=True)]
+    floor = [max(step / math.sqrt(12.0), noise) for step, noise in zip(quanta, knowledge.noise, strict=True)]
     return Problem(rows, replace(knowledge, noise=(floor[0], floor[1])))
-
-
-def _quantum(values: NDArray) -> float:
-    """Step of a quantised signal, 0 if it does not look quantised."""
-    distinct = np.unique(np.round(values, 12))
-    if len(distinct) > len(values) / 3:
-        return 0.0
-    return float(np.median(np.diff(distinct))) if len(distinct) > 1 else math.inf

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from fiplib.estimators.poses.filter import LANES, LE, R, run
+from fiplib.estimators.poses.filter import LE, R, run
 from fiplib.estimators.poses.fit import Problem, maximise
+from fiplib.estimators.poses.lanes import WIDTH
 
 KNOTS, NEAR = 12, 0.2
 """Lengths, evenly spread in their logarithm, at which all other parameters are fitted; and how close to the maximum, in
@@ -53,6 +54,6 @@ class Profile:
         lanes = np.tile(self._theta, (len(lengths), 1))
         lanes[:, self._free] = self._nuisances(np.log(lengths))
         lanes[:, R] = lengths / 2.0
-        totals = [run(self._rows, lanes[first : first + LANES]).total for first in range(0, len(lanes), LANES)]
+        totals = [run(self._rows, lanes[first : first + WIDTH]).total for first in range(0, len(lanes), WIDTH)]
         value = np.concatenate(totals) - 0.5 * np.sum(self._prior.deviations(lanes) ** 2, axis=1)
         return np.where(np.isfinite(value), -2.0 * value, np.inf)

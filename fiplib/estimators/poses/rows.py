@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.poses.filter import DIRECTION, ROD, TILT, VEHICLE, Rows
 from fiplib.estimators.poses.smoothing import parabolas
@@ -12,6 +13,11 @@ from fiplib.params import GRAVITY
 
 HALF, RISE_HALF = 0.05, 0.15
 """Half-widths in s of the smoothing parabolas; the second one's is of the vertical acceleration."""
+
+
+TURNED = 0.1, 1.0
+"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; by less, the constants of
+the model hold it, and by more, the frame cannot be told from a wrong one."""
 
 
 class Body(NamedTuple):
@@ -27,6 +33,27 @@ class Body(NamedTuple):
     def part(self, keep: slice | NDArray) -> "Body":
         """Return some of the poses."""
         return Body(*(None if column is None else column[keep] for column in self))
+
+
+def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
+    """Return the axis (n, 3) of a body that points up on average, and the angle in rad from the body's z axis to it.
+
+    Vehicle and rod are upright on average, however the frame of a body was drawn into its markers. The axis is z unless
+    that leans by an angle within ``TURNED``. ``orientation`` are quaternions (n, 4) x, y, z, w; where one is not finite
+    or zero, the axis is not finite.
+    """
+    orientation = np.asarray(orientation, dtype=float)
+    good = np.isfinite(orientation).all(axis=1) & (np.abs(orientation).max(axis=1, initial=0.0) > 0.0)
+    axis = np.full((len(orientation), 3), np.nan)
+    if not np.any(good):
+        return axis, 0.0
+    rotation = Rotation.from_quat(orientation[good])
+    up = rotation.apply([0.0, 0.0, 1.0], inverse=True).mean(axis=0)
+    up /= np.linalg.norm(up)
+    angle = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+    turned = TURNED[0] < angle < TURNED[1]
+    axis[good] = rotation.apply(up if turned else [0.0, 0.0, 1.0])
+    return axis, angle if turned else 0.0
 
 
 def cleaned(body: Body, name: str = "", notes: list[str] | None = None) -> Body:
@@ -56,6 +83,14 @@ def without_jumps(vehicle: Body, rod: Body) -> tuple[Body, float]:
     # the rod turns against the vehicle, so the distance changes a little; a lost body is far away
     good = np.abs(distances - distance) < 0.1 * distance + 0.02
     return rod.part(good), float(np.median(distances[good]))
+
+
+def quantum(values: NDArray) -> float:
+    """Return the step of a quantised signal (n,), 0 if it does not look quantised."""
+    distinct = np.unique(np.round(values, 12))
+    if len(distinct) > len(values) / 3:
+        return 0.0
+    return float(np.median(np.diff(distinct))) if len(distinct) > 1 else np.inf
 
 
 def arm(vehicle: Body, rod: Body) -> NDArray:
@@ -124,6 +159,7 @@ def sorted_rows(parts: list[Part], events: NDArray, second_order: Sequence[NDArr
     scale = np.concatenate([np.ones(len(part[1])) if part[3] is None else part[3] for part in parts])
     tilts = [part[2] for part in parts if part[0] == TILT]
     tilt = np.concatenate([tilts[0] if tilts and part[0] == VEHICLE else np.zeros_like(part[2]) for part in parts])
-    order = np.lexsort((kind, time))
+    # the vehicle's row holds the tilt's value, which must then be in the past of its innovation
+    order = np.lexsort((kind, kind != TILT, time))
     at = np.searchsorted(events, time[order])
     return Rows(time[order], kind[order], value[order], scale[order], *(one[at] for one in second_order), tilt[order])

@@ -1,29 +1,104 @@
-"""The estimate of a flight that goes on."""
+"""The estimate of a flight that goes on, and how the interval of a recorded one shrank."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.estimators.poses.checks import largest_jump
-from fiplib.estimators.poses.estimate import estimate, problem_of
-from fiplib.estimators.poses.filter import LANES, MU, R, Rows, State, run
+from fiplib.estimators.poses.estimate import PoseEstimate, solved
+from fiplib.estimators.poses.filter import MU, R, Rows, State, run
 from fiplib.estimators.poses.fit import STEP, Fit, Value, inverse, maximise, neighbours
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import RISE_HALF, Body, cleaned, rows_of
+
+FIRST = 1.0
+"""Seconds from the first pose after which a history begins."""
 
 RECENT = 0.3
 """How far back in s innovations are looked at for a jump."""
 
 
+class Running:
+    """Score and Fisher information at one maximum, gathered row by row, at a constant cost each.
+
+    One Newton step from that maximum gives the maximum for all rows so far. ``fit`` is the maximum it began from.
+    """
+
+    def __init__(self, fit: Fit, time: float, axes: int) -> None:
+        self.fit, self._lanes = fit, neighbours(fit.theta, fit.free)
+        deviations, slopes = fit.prior.at(self._lanes)
+        self._score, self._information = -slopes @ deviations, slopes @ slopes.T
+        self._state = State.at(time, axes)
+        self._recent = np.zeros(0), np.zeros((0, axes))
+
+    def add(self, rows: Rows) -> None:
+        """Filter more rows, later than all before."""
+        out = run(rows, self._lanes, np.full(len(self.fit.free), STEP), innovations=True, state=self._state)
+        self._score += out.score
+        self._information += out.fisher
+        time, innovation = (np.concatenate(two) for two in zip(self._recent, (rows.time, out.innovation), strict=True))
+        late = time > time[-1] - RECENT
+        self._recent = time[late], innovation[late]
+
+    @property
+    def step(self) -> tuple[NDArray, NDArray]:
+        """From the first maximum to that for all rows so far, in the free parameters; their standard deviations."""
+        covariance = inverse(self._information)
+        return covariance @ self._score, np.sqrt(np.diag(covariance))
+
+    @property
+    def length(self) -> Value:
+        """The length in m for all rows so far, and its standard deviation."""
+        step, deviations = self.step
+        at = int(np.flatnonzero(self.fit.free == R)[0])
+        return Value(2.0 * float(self.fit.theta[R] + step[at]), 2.0 * float(deviations[at]))
+
+    @property
+    def jump(self) -> float:
+        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        return largest_jump(*self._recent)[0]
+
+
+class History(NamedTuple):
+    """An answer, and what it was before all poses were in: seconds from the first pose (n,), lengths and their
+    standard deviations (n,), m. The arrays are empty if the answer was refused before there was a maximum."""
+
+    answer: PoseEstimate
+    time: NDArray
+    length: NDArray
+    standard_deviation: NDArray
+
+
+def history(vehicle: Body, rod: Body, knowledge: Knowledge | None = None, points: int = 60) -> History:
+    """Return the length of a flight of any duration, and how its interval shrank; see ``estimate``.
+
+    The earlier lengths are each one Newton step from the maximum for the whole flight. Their times are spaced evenly in
+    logarithm. What the answer's deviation holds for a rod that may not be uniform is part of theirs.
+    """
+    answer, problem, fit = solved(vehicle, rod, knowledge)
+    if problem is None or fit is None:
+        return History(answer, *np.zeros((3, 0)))
+    rows = problem.rows
+    doubt = max(answer.standard_deviation**2 - fit.length.deviation**2, 0.0) if answer.reason is None else 0.0
+    running, first = Running(fit, rows.time[0], rows.value.shape[1]), 0
+    times, found = np.geomspace(FIRST, max(rows.time[-1] - rows.time[0], 2.0 * FIRST), points), []
+    for last in np.searchsorted(rows.time, rows.time[0] + times, side="right"):
+        running.add(rows.part(slice(first, last)))
+        length, deviation = running.length
+        found.append((length, math.sqrt(deviation**2 + doubt)))
+        first = last
+    return History(answer, times, *np.array(found).T)
+
+
 class Stream:
     """The estimate of a flight that goes on: poses are added as they arrive.
 
-    The filter of a first maximum and of its neighbours runs on, and so do the score and the Fisher information; one
-    Newton step from that maximum then gives the maximum for all poses so far. When a parameter has moved by more than
-    its standard deviation, which happens about once each time that the flight has become twice as long, the maximum is
-    sought anew from there on all poses: the cost of a flight is linear in its duration. Of the checks that ``estimate``
-    makes only one is repeated, see ``jump``.
+    The filter of a first window's maximum and of its neighbours runs on, see ``Running``. When a parameter has moved by
+    more than its standard deviation, about once each time that the flight has become twice as long, the maximum is
+    sought anew on all rows, from where it is then: the cost of a flight is linear in its duration. Of the checks that
+    ``estimate`` makes only one is repeated, ``jump``.
 
     Args:
         vehicle, rod: the first window, 2.5 s or more; see ``estimate``.
@@ -34,14 +109,12 @@ class Stream:
     """
 
     def __init__(self, vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> None:
-        knowledge = knowledge or Knowledge()
-        if (reason := estimate(vehicle, rod, knowledge).reason) is not None:
-            raise ValueError(reason)
-        problem = problem_of(vehicle, rod, knowledge, [])
+        answer, problem, fit = solved(vehicle, rod, knowledge)
+        if answer.reason is not None:
+            raise ValueError(answer.reason)
         self._bodies = [cleaned(vehicle), cleaned(rod)]
         self._origin = self._bodies[0].position[0]
-        self._rows: list[Rows] = []
-        self._begin(problem.fit(problem.inertia, problem.offset), float(problem.rows.time[0]))
+        self._running, self._rows = Running(fit, problem.rows.time[0], 2), list[Rows]()
         self._done = -math.inf
         self.push(Body(np.zeros(0)), Body(np.zeros(0)))
 
@@ -56,52 +129,29 @@ class Stream:
         fresh = (rows.time > self._done) & (rows.time <= until)
         if np.any(fresh):
             self._rows.append(rows.part(fresh))
-            self._add(self._rows[-1])
+            self._running.add(self._rows[-1])
             self._done = until
-            step, deviations = self._newton()
-            if np.any(np.abs(step) > deviations):
-                theta = self._fit.theta.copy()
-                theta[self._fit.free] += step
-                theta[R], theta[MU] = max(theta[R], 1e-3), max(theta[MU], 0.0)
-                self._rows = [Rows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
-                self._begin(maximise(self._rows[0], theta, self._fit.free, self._fit.prior), self._rows[0].time[0])
-                self._add(self._rows[0])
+            self._follow()
         # what smoothing needs of the past
         self._bodies = [body.part(body.time > self._done - 2.0 * RISE_HALF) for body in self._bodies]
+
+    def _follow(self) -> None:
+        """Seek the maximum anew if it has moved."""
+        fit, (step, deviations) = self._running.fit, self._running.step
+        if np.any(np.abs(step) > deviations):
+            theta = fit.theta.copy()
+            theta[fit.free] += step
+            theta[R], theta[MU] = max(theta[R], 1e-3), max(theta[MU], 0.0)
+            rows = Rows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))
+            self._running, self._rows = Running(maximise(rows, theta, fit.free, fit.prior), rows.time[0], 2), [rows]
+            self._running.add(rows)
 
     @property
     def length(self) -> Value:
         """The length in m for all poses so far, and its standard deviation."""
-        step, deviations = self._newton()
-        at = int(np.flatnonzero(self._fit.free == R)[0])
-        return Value(2.0 * float(self._fit.theta[R] + step[at]), 2.0 * float(deviations[at]))
+        return self._running.length
 
     @property
-    def jump(self) -> tuple[float, float]:
-        """The largest mean squared innovation of late (``checks.largest_jump``), and its time in the bodies' clock."""
-        size, when = largest_jump(*self._recent)
-        return size, when + float(self._recent[0][0])
-
-    def _begin(self, fit: Fit, time: float) -> None:
-        self._fit = fit
-        self._lanes = neighbours(fit.theta, fit.free)
-        deviations, slopes = fit.prior.at(self._lanes)
-        self._score, self._information = -slopes @ deviations, slopes @ slopes.T
-        self._state = State.at(time, -(-len(self._lanes) // LANES) * LANES, 2)
-        self._recent = np.zeros(0), np.zeros((0, 2))
-
-    def _add(self, rows: Rows) -> None:
-        steps = np.full(len(self._fit.free), STEP)
-        out = run(rows, self._lanes, steps, innovations=True, state=self._state)
-        self._score += out.score
-        self._information += out.fisher
-        time, innovation = (
-            np.concatenate(pair) for pair in zip(self._recent, (rows.time, out.innovation), strict=True)
-        )
-        late = time > rows.time[-1] - RECENT
-        self._recent = time[late], innovation[late]
-
-    def _newton(self) -> tuple[NDArray, NDArray]:
-        """The step to the maximum of the quadratic, and the standard deviations."""
-        covariance = inverse(self._information)
-        return covariance @ self._score, np.sqrt(np.diag(covariance))
+    def jump(self) -> float:
+        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        return self._running.jump
