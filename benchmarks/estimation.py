@@ -3,9 +3,11 @@
 The genetic algorithm of the paper, 60 candidates and 20 generations, beside the same search with a textbook filter, one
 candidate at a time, and beside other libraries' searches, which all score their candidates with our compiled filter and
 may ask for as many as the genetic algorithm does. Then the landscape of all 18 001 lengths beside the textbook filter
-(extrapolated from a few lengths), and the peak of memory of both.
+(extrapolated from a few lengths), and the peak of memory of both. At last the length from poses alone: our scoring
+beside SciPy's search of the same likelihood with its gradient, and a flight of 15 minutes over a window of 2.5 s.
 """
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,8 +17,13 @@ from numpy.typing import NDArray
 from benchmarks.harness import Contender, Row, compare, line, main, needs, peak_memory, rate
 from fiplib import ga, kalman
 from fiplib.dynamics import axis_matrices
+from fiplib.estimators.poses.estimate import estimate, problem_of
+from fiplib.estimators.poses.filter import R, run
+from fiplib.estimators.poses.fit import STEP, neighbours
+from fiplib.estimators.poses.rows import Body
 from fiplib.kalman import READINGS, Window
 from fiplib.params import AXES, GRAVITY, Estimation, Params
+from fiplib.studies import poses
 
 TOPIC = "estimation"
 RADIUS, PERIOD = 0.4, 8.0  # m, s
@@ -26,6 +33,9 @@ READING = "euler_likelihood"
 LENGTH_TOLERANCE = 0.005
 """Searches agree when their lengths lie within this of the best of all lengths, m: a random search has no more to
 offer with 1200 candidates."""
+
+POSE_TOLERANCE = 1e-3
+"""Searches of the likelihood of poses agree within this, m: a fifth of a standard deviation."""
 
 
 def parameters(reading: str = READING) -> Params:
@@ -172,6 +182,84 @@ def pymoo(params: Params, window: Window) -> Contender:
     return Contender(search, tolerance=LENGTH_TOLERANCE, remark="our filter")
 
 
+# --- the length from poses alone
+
+
+Bodies = tuple[Body, Body]
+
+
+def circling(seconds: float) -> Bodies:
+    """Vehicle and rod of a simulated circle of 0.4 m, from 3 s on."""
+    true = poses.flown(poses.Condition(), 70_000, 3.0 + seconds)
+    vehicle, rod = poses.observed(true.states, np.random.default_rng(0))
+    return vehicle.part(vehicle.time >= 3.0), rod.part(rod.time >= 3.0)
+
+
+def stretches(bodies: Bodies, seconds: float) -> list[Bodies]:
+    """Windows one after the other."""
+    vehicle, rod = bodies
+    starts = np.arange(3.0, vehicle.time[-1] - seconds, seconds)
+    keeps = [(vehicle.time >= start) & (vehicle.time < start + seconds) for start in starts]
+    return [(vehicle.part(keep), rod.part(keep)) for keep in keeps]
+
+
+def from_poses() -> Contender:
+    """The estimate with all its checks."""
+    return Contender(lambda bodies: estimate(*bodies, poses.STATED), lambda found: found.length, POSE_TOLERANCE)
+
+
+def scipy_from_poses() -> Contender:
+    """SciPy's BFGS on the same posterior, with our filter's gradient, from the same start, without checks."""
+    from scipy import optimize
+
+    def search(bodies: Bodies) -> float:
+        problem = problem_of(*bodies, poses.STATED, [])
+        first = problem.start(problem.inertia, problem.offset)
+        scale = np.sqrt(np.diag(first.covariance))
+
+        def descend(x: NDArray) -> tuple[float, NDArray]:
+            theta = first.theta.copy()
+            theta[first.free] += scale * x
+            lanes = neighbours(theta, first.free)
+            out = run(problem.rows, lanes, np.full(len(first.free), STEP))
+            deviations, slopes = first.prior.at(lanes)
+            score = out.score - slopes @ deviations
+            return float(0.5 * deviations @ deviations - out.total[0]), -scale * score
+
+        found = optimize.minimize(descend, np.zeros(len(scale)), jac=True, method="BFGS", options={"gtol": 0.3})
+        at = int(np.flatnonzero(first.free == R)[0])
+        return 2.0 * float(first.theta[R] + scale[at] * found.x[at])
+
+    return Contender(search, tolerance=POSE_TOLERANCE, remark="our filter and its gradient, no checks")
+
+
+def measure_poses(quick: bool) -> list[Row]:
+    """A window, and how much longer a flight of 15 minutes takes."""
+    flight = circling(60.0 if quick else 900.0)
+    windows = stretches(tuple(body.part(body.time < 63.0) for body in flight), 2.5)
+    rows = compare(
+        TOPIC,
+        "poses to length, 2.5 s",
+        from_poses(),
+        {"SciPy BFGS": scipy_from_poses},
+        windows[: 4 if quick else 20],
+        budget=1.0 if quick else 10.0,
+        checks=3,
+        block=2,
+    )
+    spent = []
+    for _ in range(1 if quick else 3):
+        begin = time.process_time()
+        estimate(*flight, poses.STATED)
+        spent.append(time.process_time() - begin)
+    taken, seconds = min(spent), flight[0].time[-1] - flight[0].time[0]
+    remark = f"{taken:.2g} s, over a window's median; it has {seconds / 2.5:.0f} times as many poses"
+    rows.append(
+        rate(TOPIC, f"poses to length, {seconds / 60:.0f} minutes", "fip", 1e6 * taken / rows[0].p50_us, remark)
+    )
+    return rows
+
+
 # --- measured
 
 
@@ -255,7 +343,7 @@ def measure(quick: bool) -> list[Row]:
     remark = "MB by which the peak of resident memory rises"
     rows.append(rate(TOPIC, "memory, landscape", "fip", peak_memory(run_landscape), remark))
     rows.append(rate(TOPIC, "memory, five runs of the GA", "fip", peak_memory(run_genetic), remark))
-    return rows
+    return rows + measure_poses(quick)
 
 
 if __name__ == "__main__":

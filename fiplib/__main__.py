@@ -23,12 +23,13 @@ OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
+EXTRAS |= {"pandas": "tables", "pyarrow": "tables"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
     "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; recover or convert one"),
+    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; cut, export, recover or convert it"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
@@ -39,16 +40,17 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    _usable_streams()
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
 
 
 def guarded(task: Callable[[], int]) -> int:
     """Run a task; return its exit status, or that of what ended it, after one line on stderr.
 
-    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, a closed pipe 141 in silence.
+    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, SIGTERM 143 and a closed pipe
+    141 in silence. To be called in the main thread.
     """
+    _usable_streams()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     try:
         status = task()
         sys.stdout.flush()

@@ -21,7 +21,7 @@ from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
 from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
-from fiplib.recording import Measurement
+from fiplib.recording import Measurement, nanoseconds, numbers_of
 
 
 class Command(NamedTuple):
@@ -143,11 +143,21 @@ class Observer:
 
 
 class Pilot:
-    """From poses to body rates and thrust. The time of the reference to follow starts with the first step."""
+    """From poses to body rates and thrust. The time of the reference to follow starts with the first step.
+
+    What is not what a method asks for (``None``, another shape, a number that is not finite) is a ValueError.
+    """
 
     def __init__(self, params: Params, reference: Reference) -> None:
         from fiplib.kernels import piloting as loops
 
+        _checked("params", params, Params)
+        try:
+            start = np.array((*reference.at(np.zeros(1))[0], reference.height), dtype=float)
+        except Exception as error:  # whatever it is: no trajectory
+            raise ValueError(f"no reference to follow: {type(reference).__name__} ({error})") from error
+        if start.shape != (len(STATES) + 1,) or not np.isfinite(start).all():
+            raise ValueError("a reference must give finite states, shape (n, 10), and a finite height")
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
@@ -173,6 +183,10 @@ class Pilot:
 
     def observe(self, now: int, measurement: Measurement) -> Tick | None:
         """The first part of ``step``: take one frame; at a control tick, what a controller needs to know."""
+        now = nanoseconds(now)
+        if not np.isfinite(numbers_of(measurement)).all():
+            raise ValueError("malformed frame: not every number is finite")
+        measurement = Measurement(nanoseconds(measurement[0]), *measurement[1:])
         state, altitude = self._observer.update(measurement, self.length)
         self._sampler.push_frame(measurement)
         if self._first is None:
@@ -186,6 +200,7 @@ class Pilot:
 
     def solve(self, tick: Tick) -> Solution:
         """The second part: the optimal plan."""
+        _checked("tick", tick, Tick)
         return self._mpc.solve(tick.state, tick.reference, self.length)
 
     def hold(self, tick: Tick, place: NDArray) -> NDArray:
@@ -193,11 +208,17 @@ class Pilot:
 
         The feedback is that of the optimal plan where no bound is active: u = -K_0 (x - x_ref), cut off at the bounds.
         """
+        _checked("tick", tick, Tick)
+        if np.shape(place) != (len(STATES),):
+            raise ValueError(f"place must be a state (10,), not of shape {np.shape(place)}")
         limit = self.params.vehicle.max_body_rate
         return np.clip((self._gains * (tick.state - place)).sum(axis=1), -limit, limit)
 
     def answer(self, tick: Tick, rates: NDArray, status: Status) -> Command:
         """The last part of ``step``: body rates (2,) in rad/s about x and y, with thrust and yaw, as a command."""
+        _checked("tick", tick, Tick)
+        if np.shape(rates) != (2,):
+            raise ValueError(f"rates must be two body rates, not of shape {np.shape(rates)}")
         command, state = np.empty(4), tick.state
         measured = (state[PHI], state[THETA], tick.height, tick.climb_rate, tick.yaw)
         self._loops(*measured, rates[0], rates[1], tick.elapsed, self._about, self._integrals, command)
@@ -223,6 +244,10 @@ class Pilot:
 
         All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none.
         """
+        try:
+            length, deviation = float(length), float(deviation)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"an estimate must be two numbers in m ({error})") from error
         self.length = self._handover.update(length, deviation)
         self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
         return self.length
@@ -245,6 +270,11 @@ def least_period(piloting: Piloting) -> int:
 def estimator_of(params: Params) -> Estimator:
     """The estimator that a flight uses; ValueError if its name is not known."""
     return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
+
+
+def _checked(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be {kind.__name__}, not {type(value).__name__}")
 
 
 def _known(parameter: str, name: str, registry: dict[str, Any]) -> Any:

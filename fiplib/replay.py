@@ -142,24 +142,14 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)))
 
 
-def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
-    """Return the length of the rod from nothing but the two bodies of a whole flight.
+def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
+    """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     """
-    from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
+    from fiplib.estimators.poses.history import length_of_flight  # compiled code: half a second to import
 
-    return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
-
-
-def estimate(flight: Flight, params: Params | None = None) -> "PoseEstimate":
-    """Return the length of the rod from a whole flight, with a standard deviation, or the reason why there is none.
-
-    It comes from the poses of both bodies (``length_from_poses``). ``assumed`` says what was taken for granted:
-    ``params`` if they are given, else what the flight's metadata say of vehicle, rod and motion capture. Raises
-    BagError: the metadata are of another version.
-    """
-    return length_from_poses(flight, Knowledge.of(params) if params else None)
+    return length_of_flight(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

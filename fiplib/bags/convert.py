@@ -10,7 +10,7 @@ from rosbags.convert import ConverterError
 from rosbags.convert import convert as convert_ros1
 
 from fiplib.bags.csv_files import NOTHING, Stated, from_csv
-from fiplib.bags.sources import is_ros1, suggestion
+from fiplib.bags.files import is_ros1, suggestion
 from fiplib.recording import BagError
 
 

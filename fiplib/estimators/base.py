@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from fiplib.params import Params
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,14 @@ class Estimator(NamedTuple):
         """
         found = resolve_name(f"{__package__}.{self.path}")
         return found() if self.streams else found
+
+    def answer(self, window: Any, params: "Params", rng: Any) -> Estimate:
+        """Return what may be stated as a result: ``checks.checked`` of the function's estimate.
+
+        In flight the function itself is used: the hand-over, not a refusal, decides there what is taken over.
+        """
+        checked = resolve_name(f"{__package__}.checks:checked")
+        return checked(self.function(window, params, rng), window, params)
 
 
 PRIOR = (1.1, 0.5)

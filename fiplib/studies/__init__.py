@@ -35,13 +35,13 @@ STUDIES = {
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
     "ablation": "fiplib.studies.ablation",
-    "seat": "fiplib.studies.seat",
     "poses": "fiplib.studies.poses",
+    "seat": "fiplib.studies.seat",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "ablation", "poses")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses", "ablation")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

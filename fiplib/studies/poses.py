@@ -236,12 +236,17 @@ def answers(condition: Condition, true: Motion, rng: np.random.Generator) -> lis
 
 
 def bound_of(condition: Condition, true: Motion) -> float:
-    """Return the bound of the length in the first window, m: the others differ little, and it takes half a second."""
+    """Return the bound of the length in the first window, m: the others differ little, and it takes half a second.
+
+    It is the bound of the flights as they are simulated: the distance of the tracked points is exactly as it looks,
+    which an estimate that allows for a millimetre does not know.
+    """
     told = {"pendulum__length": condition.length, "vehicle__seat_height": condition.seat}
     first = round(STARTS[0] / true.period)
     part = slice(first, first + round(SECONDS / true.period))
     window = Motion(true.states[part], true.commands[part], true.period)
-    return float(cramer_rao_of_poses(window, Params().replace(**told, **condition.changes), condition.knowledge)[-1])
+    params = Params().replace(**told, **condition.changes)
+    return float(cramer_rao_of_poses(window, params, replace(condition.knowledge, distance_tolerance=1e-5))[-1])
 
 
 def interval(covered: ArrayLike, answered: ArrayLike, draws: int = 4000) -> tuple[float, float, float]:

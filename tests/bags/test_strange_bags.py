@@ -14,7 +14,7 @@ from fiplib.bags import read
 from fiplib.bags.checks import EXPLANATIONS, findings
 from fiplib.bags.convert import convert
 from fiplib.recording import BagError
-from fiplib.replay import length_from_poses, why_not_refit
+from fiplib.replay import estimate, why_not_refit
 from tests.bags import strangers
 from tests.bags.strangers import COVARIANCE, NANO, ODOMETRY, ROD, TRANSFORM, TREE, TWIST, VEHICLE, Body, Recording
 
@@ -346,7 +346,7 @@ def test_a_strangers_bag_gives_its_length_or_the_cause(name: str, flight: Record
         convert(path, tmp_path / "bag")
         path = tmp_path / "bag"
     recording = read(path)
-    found, against = length_from_poses(recording), findings(recording)
+    found, against = estimate(recording), findings(recording)
     words = "" if case.finding == "convert" else case.says
     said = [*recording.notes, *found.assumed, *found.notes, *(one.sentence for one in against), str(found.reason)]
     assert any(words in sentence for sentence in said), said
@@ -367,7 +367,7 @@ def test_a_strangers_bag_gives_its_length_or_the_cause(name: str, flight: Record
     if cures:
         cured = read(path, **cures)
         assert not any(one.refuses for one in findings(cured))
-        rightly(length_from_poses(cured))
+        rightly(estimate(cured))
 
 
 def rightly(found: Any) -> None:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fiplib import studies
-from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, seat, weights
+from fiplib.studies import benchmarks, estimators, handover, imperfections, ledger_seeds, poses, seat, weights
 from fiplib.studies.imperfections import IMPERFECTIONS
 
 
@@ -130,6 +130,40 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
     found = imperfections.facts(rows)
     assert found["all", "poses", "answered"] == "0"
     assert ("all", "poses", "rms") not in found
+
+
+def pose_rows() -> list[dict]:
+    """Two flights a condition: both answered; where something wrong is stated, both refused."""
+    none = {"n": 0, "refused": 4} | dict.fromkeys(("bias", "rms", "worst", "covered", "sd", "bound"), math.nan)
+    rows = []
+    for name, condition in poses.CONDITIONS.items():
+        for seed, (covered, bias) in enumerate([(4, 0.001), (3, -0.003)]):
+            given = {"n": 4, "refused": 0, "bias": bias, "rms": 0.006, "covered": covered, "sd": 0.005}
+            row = none if condition.group == "wrong" else given | {"bound": 0.005 if condition.bound else math.nan}
+            rows.append({"condition": name, "seed": seed} | row)
+    return rows
+
+
+def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share():
+    rows = pose_rows()
+    lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
+    assert len(lines) == len(poses.CONDITIONS)
+    # of two flights the bootstrap draws either twice in half of all draws
+    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["noise doubled"][-1] == "--"
+    assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
+    found = poses.facts(rows)
+    assert found["ratio",] == "1.20" and found["covered",] == "88"
+    assert found["wrong", "refused"] == "100" and found["untold", "least"] == "88"
+    assert ("wrong", "least") not in found
+
+
+def test_every_condition_of_the_pose_estimator_is_drawn_with_its_share():
+    figure = poses.fig16_coverage(pose_rows())
+    left, right = figure.axes
+    assert [text.get_text() for text in left.get_yticklabels()] == list(poses.CONDITIONS)
+    widths = [bar.get_width() for bar in right.patches]
+    assert widths == [100.0 if one.group == "wrong" else 0.0 for one in poses.CONDITIONS.values()]
 
 
 def test_a_study_that_is_not_complete_has_no_facts(tmp_path):

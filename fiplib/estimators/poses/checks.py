@@ -27,8 +27,8 @@ LEAST_STEPS = 3.0
 LARGEST_SPREAD = 0.05
 """Refused above this relative standard deviation: the priors alone, with no motion at all, end at 10 % for 1 m."""
 
-LARGEST_CONFLICT = 4.0
-"""Refused above this many standard deviations between a stated value and the flight: one in 16 000 by chance."""
+LARGEST_CONFLICT = 3.5
+"""Refused above this many standard deviations between a stated value and the flight: one in 2 000 by chance."""
 
 LARGEST_JUMP, JUMP_SPAN = 3.0, 0.1
 """Refused above this mean squared innovation over a span in s; noise alone reaches 2 in a flight of minutes."""

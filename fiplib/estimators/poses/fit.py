@@ -184,6 +184,11 @@ class Problem:
 
     def fit(self, inertia: Told, offset: Told, force: bool = False) -> Fit:
         """Return the maximum; ``force``: an unknown white force acts on the rod, too."""
+        first = self.start(inertia, offset, force)
+        return maximise(self.rows, first.theta, first.free, first.prior)
+
+    def start(self, inertia: Told, offset: Told, force: bool = False) -> Fit:
+        """Return about the maximum over few poses, where the search over all of them begins."""
         theta = self._start.copy()
         if self.tracked and offset.tolerance < 0.1:
             theta[R], theta[OFFSET] = theta[R] + theta[OFFSET] - offset.value, offset.value
@@ -198,9 +203,7 @@ class Problem:
             free.append(kf.NF)
             theta[kf.NF] = math.log(0.1)
         free, prior = np.array(sorted(free)), self._prior(inertia, offset)
-        if len(self._few.time) < len(self.rows.time):
-            theta = maximise(self._few, theta, free, prior, CLOSE).theta
-        return maximise(self.rows, theta, free, prior)
+        return maximise(self._few, theta, free, prior, CLOSE)
 
     def _prior(self, inertia: Told, offset: Told) -> Prior:
         k, unused = self.knowledge, Told(0.0, 1.0)
