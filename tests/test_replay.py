@@ -79,9 +79,10 @@ def test_a_bag_of_poses_alone_gives_the_states_the_controller_used(estimated):
 def test_derived_velocities_are_near_the_true_ones(estimated):
     at = np.searchsorted(estimated.truth_state.stamp, replay.states(estimated).stamp - 4_166_667)
     error = replay.states(estimated).values - estimated.truth_state.values[at, :10]
-    # 0.2 mm of noise a body, differentiated at 240 Hz and filtered at 20 Hz: 0.022 m/s; a and b join two bodies: 0.031
+    # 0.2 mm of noise a body and 0.08 mm of the attitude's at the seat, differentiated at 240 Hz and filtered at 20 Hz:
+    # 0.024 m/s; a and b join two bodies: 0.032
     assert error[:, X].std() == pytest.approx(0.2e-3, rel=0.1) and error[:, A].std() == pytest.approx(0.28e-3, rel=0.1)
-    assert error[:, X_DOT].std() < 0.025 and error[:, A_DOT].std() < 0.035
+    assert error[:, X_DOT].std() < 0.027 and error[:, A_DOT].std() < 0.036
 
 
 def test_what_cannot_be_replayed_says_why(estimated):
