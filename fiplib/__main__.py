@@ -9,9 +9,11 @@ import argparse
 import errno
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from fiplib import __version__
 from fiplib.params import FipError
@@ -21,14 +23,14 @@ MISTAKE, READER_GONE = 2, 128 + 13
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 """What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
 
-
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
+EXTRAS |= {"pandas": "tables", "pyarrow": "tables"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
     "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; recover or convert one"),
+    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; cut, export, recover or convert it"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
@@ -39,16 +41,17 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    _usable_streams()
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     return guarded(lambda: _run(sys.argv[1:] if arguments is None else list(arguments)))
 
 
 def guarded(task: Callable[[], int]) -> int:
     """Run a task; return its exit status, or that of what ended it, after one line on stderr.
 
-    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, a closed pipe 141 in silence.
+    A mistake of the user (``FipError``, ``ValueError``, ``OSError``) gives 2, Ctrl-C 130, SIGTERM 143 and a closed pipe
+    141 in silence. To be called in the main thread.
     """
+    _usable_streams()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # leaves ``with`` blocks in good order
     try:
         status = task()
         sys.stdout.flush()
@@ -67,12 +70,22 @@ def guarded(task: Callable[[], int]) -> int:
         if isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST:
             _discard_output()
             return _said(f"the output cannot be written: {error.strerror}", MISTAKE)
-        return _said(" ".join(str(error).split("\n")) or type(error).__name__, MISTAKE)
+        return _said(_one_line(str(error)) or type(error).__name__, MISTAKE)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        super().error(_one_line(message))
+
+
+def _one_line(text: str) -> str:
+    """The text without line breaks and other control characters, which names of files may hold."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", " ", text)
 
 
 def _run(arguments: list[str]) -> int:
     description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help says more."
-    parser = argparse.ArgumentParser(prog="fip", description=description, epilog=more)
+    parser = _Parser(prog="fip", description=description, epilog=more)
     parser.add_argument("--version", action="version", version=f"fip {__version__}")
     commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)

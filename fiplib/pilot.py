@@ -20,8 +20,9 @@ from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
+from fiplib.observers import Observer
 from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
-from fiplib.recording import Measurement
+from fiplib.recording import Measurement, nanoseconds, numbers_of
 
 
 class Command(NamedTuple):
@@ -103,51 +104,22 @@ REFERENCES = {"Hover": Hover, "Circle": Circle}
 """The kinds of reference that a bag may name."""
 
 
-class Observer:
-    """Poses to states the paper's way (section 3): velocities differentiated, then low-pass filtered (first order).
-
-    Positions are those of the rod's seat, ``seat_height`` above the vehicle's tracked point along the body's z axis;
-    (a, b) lead from it to the rod's COM. With ``pendulum_measurement = "direction"`` they are the rod's direction times
-    half the length in use.
-    """
-
-    def __init__(self, piloting: Piloting) -> None:
-        if piloting.pendulum_measurement not in ("position", "direction"):
-            raise ValueError(
-                f"pendulum_measurement must be 'position' or 'direction', not {piloting.pendulum_measurement!r}"
-            )
-        from fiplib.kernels import poses
-
-        self._observe, self._piloting = poses.observe, piloting
-        self._stamp: int | None = None
-        self._memory = np.zeros(10)
-
-    def update(self, measurement: Measurement, length: float) -> tuple[NDArray, tuple[float, float, float]]:
-        """Take one frame.
-
-        Args:
-            measurement: the frame; one whose stamp is not later than the last one's changes no velocity.
-            length: length in use, m (needed for the reading "direction" only).
-
-        Returns:
-            The ten states, and (height in m, climb rate in m/s, yaw in rad). Velocities are zero at the first frame.
-        """
-        elapsed = 0.0 if self._stamp is None else max(0.0, (measurement.stamp - self._stamp) / NANO)
-        self._stamp = measurement.stamp
-        used = 0.0 if self._piloting.pendulum_measurement == "position" else length
-        observed, frame = np.empty(13), np.concatenate(measurement[1:], dtype=float)
-        seat, cutoff = self._piloting.seat_height, self._piloting.velocity_cutoff
-        self._observe(frame, seat, used, elapsed, cutoff, self._memory, observed)
-        height, climb_rate, yaw = observed[10:].tolist()
-        return observed[:10], (height, climb_rate, yaw)
-
-
 class Pilot:
-    """From poses to body rates and thrust. The time of the reference to follow starts with the first step."""
+    """From poses to body rates and thrust. The time of the reference to follow starts with the first step.
+
+    What is not what a method asks for (``None``, another shape, a number that is not finite) is a ValueError.
+    """
 
     def __init__(self, params: Params, reference: Reference) -> None:
         from fiplib.kernels import piloting as loops
 
+        _checked("params", params, Params)
+        try:
+            start = np.array((*reference.at(np.zeros(1))[0], reference.height), dtype=float)
+        except Exception as error:  # whatever it is: no trajectory
+            raise ValueError(f"no reference to follow: {type(reference).__name__} ({error})") from error
+        if start.shape != (len(STATES) + 1,) or not np.isfinite(start).all():
+            raise ValueError("a reference must give finite states, shape (n, 10), and a finite height")
         self.params, self.reference = params, reference
         self._sampler = SAMPLERS[estimator_of(params).kind](params)
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
@@ -155,7 +127,7 @@ class Pilot:
         self.length = self._handover.used
         self._mpc = MPC(params)
         self._gains = self._feedback()
-        self._observer = Observer(params.piloting)
+        self._observer = Observer(params)
         self._loops, self._about = loops.answer, loops.pilot_constants(params, reference.height)
         self._integrals = np.zeros(2)
         self._horizon = np.arange(params.control.nodes + 1) * params.control.step
@@ -173,6 +145,10 @@ class Pilot:
 
     def observe(self, now: int, measurement: Measurement) -> Tick | None:
         """The first part of ``step``: take one frame; at a control tick, what a controller needs to know."""
+        now = nanoseconds(now)
+        if not np.isfinite(numbers_of(measurement)).all():
+            raise ValueError("malformed frame: not every number is finite")
+        measurement = Measurement(nanoseconds(measurement[0]), *measurement[1:])
         state, altitude = self._observer.update(measurement, self.length)
         self._sampler.push_frame(measurement)
         if self._first is None:
@@ -186,6 +162,7 @@ class Pilot:
 
     def solve(self, tick: Tick) -> Solution:
         """The second part: the optimal plan."""
+        _checked("tick", tick, Tick)
         return self._mpc.solve(tick.state, tick.reference, self.length)
 
     def hold(self, tick: Tick, place: NDArray) -> NDArray:
@@ -193,11 +170,17 @@ class Pilot:
 
         The feedback is that of the optimal plan where no bound is active: u = -K_0 (x - x_ref), cut off at the bounds.
         """
+        _checked("tick", tick, Tick)
+        if np.shape(place) != (len(STATES),):
+            raise ValueError(f"place must be a state (10,), not of shape {np.shape(place)}")
         limit = self.params.vehicle.max_body_rate
         return np.clip((self._gains * (tick.state - place)).sum(axis=1), -limit, limit)
 
     def answer(self, tick: Tick, rates: NDArray, status: Status) -> Command:
         """The last part of ``step``: body rates (2,) in rad/s about x and y, with thrust and yaw, as a command."""
+        _checked("tick", tick, Tick)
+        if np.shape(rates) != (2,):
+            raise ValueError(f"rates must be two body rates, not of shape {np.shape(rates)}")
         command, state = np.empty(4), tick.state
         measured = (state[PHI], state[THETA], tick.height, tick.climb_rate, tick.yaw)
         self._loops(*measured, rates[0], rates[1], tick.elapsed, self._about, self._integrals, command)
@@ -223,6 +206,10 @@ class Pilot:
 
         All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none.
         """
+        try:
+            length, deviation = float(length), float(deviation)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"an estimate must be two numbers in m ({error})") from error
         self.length = self._handover.update(length, deviation)
         self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
         return self.length
@@ -245,6 +232,11 @@ def least_period(piloting: Piloting) -> int:
 def estimator_of(params: Params) -> Estimator:
     """The estimator that a flight uses; ValueError if its name is not known."""
     return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
+
+
+def _checked(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be {kind.__name__}, not {type(value).__name__}")
 
 
 def _known(parameter: str, name: str, registry: dict[str, Any]) -> Any:

@@ -26,6 +26,25 @@ class Measurement(NamedTuple):
     pendulum_attitude: NDArray
 
 
+def numbers_of(measurement: Measurement) -> NDArray:
+    """Return the 14 numbers of a frame in their order. Raises ValueError if it is not two poses."""
+    try:
+        _, *parts = measurement
+        shapes, values = [np.shape(part) for part in parts], np.concatenate(parts, dtype=float)
+    except Exception as error:  # whatever NumPy raises about what is no array
+        raise ValueError(f"malformed frame: {type(measurement).__name__} ({error})") from error
+    if shapes != [(3,), (4,), (3,), (4,)]:
+        raise ValueError(f"malformed frame: two poses have the shapes (3,), (4,), (3,), (4,), not {shapes}")
+    return values
+
+
+def nanoseconds(now: int) -> int:
+    """Return a time as a plain int. Raises ValueError if it is none that a ROS message can carry, 0 to 2038."""
+    if isinstance(now, int | np.integer) and not isinstance(now, bool) and 0 <= now < 2**31 * NANO:
+        return int(now)
+    raise ValueError(f"a time must be an integer in ns, from 0 to the year 2038, not {now!r}")
+
+
 POSE = "geometry_msgs/msg/PoseStamped"
 POINT = "geometry_msgs/msg/PointStamped"
 JOINTS = "sensor_msgs/msg/JointState"

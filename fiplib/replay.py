@@ -11,17 +11,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import scipy  # its parts are imported when they are first used
 
-from fiplib.estimators.base import Estimate
 from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
-from fiplib.estimators.likelihood import ASSUMED, maximum_likelihood
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
 from fiplib.kalman import Window
+from fiplib.observers import Observer
 from fiplib.params import NANO, STATES, Params
-from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
+from fiplib.pilot import REFERENCES, Pilot, Reference, estimator_of
 from fiplib.recording import TOPICS, BagError, Flight, Measurement, Series
 
 if TYPE_CHECKING:
@@ -32,9 +30,6 @@ STRIDE = 14
 
 MOST_SAMPLES = 250
 """Samples in a window between two times at most: beyond, an estimate takes longer than one likes to wait."""
-
-BY_CHANCE = 1e-3
-"""Probability of a scatter between windows (chi-square) below which it is not taken for chance."""
 
 
 class TimedWindow(NamedTuple):
@@ -83,7 +78,7 @@ def states(flight: Flight) -> Series:
     """The states that the controller used; where none are recorded, derived from the poses the paper's way."""
     if flight.state is not None:
         return flight.state
-    observer, length = Observer(flight.params.piloting), flight.params.piloting.initial_length
+    observer, length = Observer(flight.params), flight.params.piloting.initial_length
     derived = [(now, observer.update(measurement, length)[0]) for now, measurement in measurements(flight)]
     stamps, rows = np.array([now for now, _ in derived]), np.array([state for _, state in derived])
     return Series.of("state", stamps, rows.reshape(-1, len(STATES)))
@@ -147,48 +142,14 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)))
 
 
-def length_from_poses(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
-    """Return the length of the rod from nothing but the two bodies of a whole flight.
+def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
+    """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     """
-    from fiplib.estimators.poses.estimate import length_of  # compiled code: half a second to import
+    from fiplib.estimators.poses.history import length_of_flight  # compiled code: half a second to import
 
-    return length_of(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
-
-
-def estimate(flight: Flight, params: Params | None = None) -> Estimate:
-    """Return the length of the rod from a whole flight, with a standard deviation, or the reason why there is none.
-
-    A flight that says how it was flown (its metadata hold parameters, or ``params`` are given) and holds commands is
-    estimated with both (``likelihood.maximum_likelihood``), on windows that follow each other without overlap. Their
-    answers are independent; the logarithms of the lengths are averaged by their precision. What several windows
-    scatter beyond their stated deviations is added to the deviation (Birge ratio); beyond chance, it is a reason to
-    refuse. Any other flight is estimated from its poses alone (``length_from_poses``). ``assumed`` says which.
-
-    ``params`` replace those of the flight. Raises BagError, ValueError: other version; under 16 frames to a window.
-    """
-    knowledge = Knowledge.of(params) if params else Knowledge.of_flight(flight)
-    known, params = params or "params" in flight.metadata, params or flight.params
-    seconds = params.estimation.raw_window
-    if not known or why_not_refit(flight, seconds):
-        return length_from_poses(flight, knowledge)
-    found = [maximum_likelihood(window, params) for _, window in raw_windows(flight, seconds, seconds)]
-    given = [answer for answer in found if answer.reason is None]
-    if not given:
-        why = f"; the last: {found[-1].reason}" if found else ", as motion capture or commands have gaps"
-        return Estimate(math.nan, math.nan, f"none of {len(found)} windows of {seconds:g} s gives a length{why}")
-    lengths, deviations = np.array([(answer.length, answer.standard_deviation) for answer in given]).T
-    precision = (lengths / deviations) ** 2
-    mean = float(np.average(np.log(lengths), weights=precision))
-    scatter, free = float(np.sum(precision * (np.log(lengths) - mean) ** 2)), len(given) - 1
-    if free and scipy.special.chdtrc(free, scatter) < BY_CHANCE:
-        low, high = lengths.min(), lengths.max()
-        reason = f"the windows contradict each other beyond chance: they give lengths from {low:.3f} to {high:.3f} m"
-        return Estimate(math.nan, math.nan, reason)
-    length = math.exp(mean)
-    deviation = length * math.sqrt(max(1.0, scatter / max(free, 1)) / float(precision.sum()))
-    return Estimate(length, deviation, assumed=(ASSUMED,))
+    return length_of_flight(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import fiplib as fip
 from fiplib import bag as command
+from fiplib.bags import cut
 from fiplib.recording import BagError
 
 BAG = Path(__file__).parents[1] / "data" / "estimate-1.4"  # simulated, a uniform rod of 1 m
@@ -48,3 +50,25 @@ def test_a_refusal_is_one_sentence_and_status_3(capsys):
 def test_a_bag_that_cannot_be_read_is_a_mistake_of_the_user(tmp_path):
     with pytest.raises(BagError, match="no such file"):  # the command ends with status 2
         run(tmp_path / "nowhere")
+
+
+def test_the_library_says_the_same_as_the_command(capsys):
+    run(BAG, "--json")
+    printed = json.loads(capsys.readouterr().out)
+    found = fip.estimate(fip.read(BAG))
+    assert [printed["length"], printed["standard_deviation"]] == [found.length, found.standard_deviation]
+    assert printed["interval"] == list(found.interval) and printed["assumed"] == list(found.assumed)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
+def test_a_figure_is_written_once_and_does_not_change_the_answer(tmp_path, capsys, suffix):
+    short = cut(BAG, tmp_path / "short", end=8.0).output
+    run(short, "--json")
+    alone = capsys.readouterr().out
+    assert run(short, "--json", "--plot", tmp_path / f"length{suffix}") == 0
+    assert capsys.readouterr().out == alone
+    content = (tmp_path / f"length{suffix}").read_bytes()
+    assert content.startswith(b"\x89PNG" if suffix == ".png" else b"%PDF") and len(content) > 5000
+    with pytest.raises(BagError, match="exists already"):
+        run(short, "--plot", tmp_path / f"length{suffix}")
+    assert (tmp_path / f"length{suffix}").read_bytes() == content

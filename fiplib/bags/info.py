@@ -2,12 +2,34 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
+from fiplib.bags import survey
+from fiplib.bags.checks import findings, passed
+from fiplib.bags.reader import read
 from fiplib.params import Params
-from fiplib.recording import Flight
+from fiplib.recording import BagError, Flight
 
 Remarks = Mapping[str, Callable[[Flight], str]]
 """Further lines of a description, for what this room cannot know: the first word of each, and what says the rest."""
+
+
+def inform(path: Path, reading: Mapping[str, Any], remarks: Remarks | None = None) -> str:
+    """Describe any bag: a flight with its checks, or what there is where no flight can be read.
+
+    ``reading`` are keyword arguments of ``read``. Raises BagError if nothing can be read at all.
+    """
+    try:
+        flight = read(path, **reading)
+    except BagError as error:
+        try:
+            found = survey.survey(path)
+        except BagError:
+            raise error from None
+        why = str(error).removeprefix(f"{path}: ")
+        return f"{'bag':<10} {path}\n{'flight':<10} none: {why}\n\n{found}"
+    return "\n".join([describe(flight, remarks), "", *survey.stamps(path)])
 
 
 def describe(flight: Flight, remarks: Remarks | None = None) -> str:
@@ -21,6 +43,9 @@ def describe(flight: Flight, remarks: Remarks | None = None) -> str:
         lines[-1] += "" if recovered.get("finished") else ", without the end of the recording"
     lines += [f"{'duration':<10} {flight.duration:.2f} s", f"{'events':<10} {len(flight.events)}"]
     lines += [f"{'assumed' if not i else '':<10} {note}" for i, note in enumerate(flight.notes)]
+    against = findings(flight)
+    checked = [*(finding.sentence for finding in against), f"passed: {', '.join(passed(against)) or 'none'}"]
+    lines += [*survey.bodies(flight), *(f"{'' if i else 'checks':<10} {said}" for i, said in enumerate(checked))]
     lines += [*(f"{word:<10} {say(flight)}" for word, say in (remarks or {}).items()), ""]
     width = max(len(info.topic) for info in flight.topics)
     kind = max(len(info.type) for info in flight.topics)

@@ -12,41 +12,28 @@ import fcntl
 import json
 import os
 import select
-import shutil
 import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
-from rosbags.rosbag2.storage_mcap import write_channel, write_schema
-from ruamel.yaml import YAML
-
-from fiplib.bags.messages import SIDECAR, checksum
-from fiplib.bags.writer import BagRecorder, close_bag
-from fiplib.params import NANO
+from fiplib.bags.writer import BagRecorder
 from fiplib.recording import ROLES, BagError
 
 __all__ = ["LiveRecorder"]
 
 PERIOD = 0.25
-"""s from one chunk to the next. A kill takes these and ``_HOLD``; the rest of the second is for a machine too busy."""
-_HOLD = NANO // 10  # ns that messages wait for earlier ones of another topic; a pose arrives within some 20 ms
+"""s from one chunk to the next. A kill takes these and ``writer.HOLD``; the rest of a second is for a busy machine."""
 _NAP = 0.02  # s of messages taken at once: to wake for each would take the control's time on a small computer
-RESERVE = 4 << 20
-"""Bytes kept for the end of the recording when the disk is full: the index of an hour, and more."""
 _BACKLOG = 32 << 20  # bytes kept in memory when the disk stalls: two minutes of flight
 _PATIENCE = 30.0  # s that start and end of a recording may take
 
-_Message = tuple[int, str, bytes]  # log time in ns, role, CDR
 _FRAME = struct.Struct("<BqI")  # role, log time in ns, size of the message that follows
 _NAMES = tuple(ROLES)
 _END = 255  # in place of a role: the flight was recorded to its end
@@ -208,129 +195,19 @@ class LiveRecorder(BagRecorder):
 # --- the process that writes ---------------------------------------------------------------------------------------
 
 
-class _Journal:
-    """Takes the place of the library's file: what is written reaches the disk by whole commits, or not at all."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        file.flush()
-        self._file, self._size, self._waiting = file, file.tell(), bytearray()
-        self._syncing: Future[None] | None = None
-        self._pool = ThreadPoolExecutor(1)
-
-    def write(self, data: bytes | memoryview) -> int:
-        self._waiting += data
-        return len(data)
-
-    def tell(self) -> int:
-        return self._size + len(self._waiting)
-
-    def commit(self) -> None:
-        """Write what waits, and let the disk sync beside. Raises OSError; the file then ends where it did before."""
-        descriptor = self._file.fileno()
-        try:
-            with memoryview(self._waiting) as view:
-                done = 0
-                while done < len(view):
-                    done += os.write(descriptor, view[done:])
-        except OSError:
-            os.ftruncate(descriptor, self._size)
-            os.lseek(descriptor, self._size, os.SEEK_SET)
-            raise
-        self._size += done
-        self._waiting.clear()
-        # A card may take seconds to sync. What is written survives a kill at once, and a power cut once synced.
-        if self._syncing is None or self._syncing.done():
-            last, self._syncing = self._syncing, self._pool.submit(os.fsync, descriptor)
-            if last:
-                last.result()
-
-    def close(self) -> None:
-        self.commit()
-        self._pool.shutdown()
-        os.fsync(self._file.fileno())
-        self._file.close()
-
-
 class _Bag(BagRecorder):
-    """The bag as the process writes it: chunk by chunk, with its metadata beside it until it is finished."""
+    """The bag as the process writes it: a chunk whenever ``commit`` is called, synced to the disk beside."""
 
-    def _open(self) -> None:
-        super()._open()
-        self._held: list[_Message] = []
-        self._storage: Any = self._writer.storage
-        try:
-            self._journal = self._storage.bio = _Journal(self._storage.bio)
-            self._journal.commit()
-            # Without a name: gone with this process, however that ends.
-            self._reserve = tempfile.TemporaryFile(dir=self.path)
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(self._reserve.fileno(), 0, RESERVE)
-            else:
-                self._reserve.write(bytes(RESERVE))
-                self._reserve.flush()
-            self._say_what_it_is()
-            for folder in (self.path, self.path.parent):
-                _sync(folder)
-        except OSError as error:
-            shutil.rmtree(self.path, ignore_errors=True)  # made a moment ago, and empty
-            raise BagError(f"{self.path}: cannot record here ({error}); choose another path") from error
-
-    def _say_what_it_is(self) -> None:
-        part = self.path / "part.yaml"  # takes its name once it is whole
-        with part.open("w", encoding="utf8") as stream:
-            YAML(typ="safe").dump({**self._metadata, "checksum": checksum(self._metadata)}, stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(self.path / SIDECAR)
+    _sync = True
 
     def _put(self, role: str, log_time: int, data: bytes) -> None:
         self._last = max(self._last, log_time)
         self._pending.append((log_time, role, data))
 
-    def commit(self, everything: bool = False) -> None:
-        """Write a chunk of what has come. Raises OSError; nothing is lost by that, and it may be called again."""
-        newest = max((message[0] for message in self._pending), default=0)
-        ready, self._held = self._held, []
-        for message in self._pending:
-            # Nothing is held twice, wherever the clock has jumped to.
-            (ready if everything or message[0] <= newest - _HOLD else self._held).append(message)
-        self._pending = []
-        if ready:
-            # Each chunk can be read without the others: it names its types and topics again.
-            for schema in self._storage.schemas:
-                write_schema(self._storage.chunk.bio, schema)
-            for channel in self._storage.channels:
-                write_channel(self._storage.chunk.bio, channel, self._storage.schemas)
-            self._write(sorted(ready, key=itemgetter(0)))
-            if self._storage.chunk.bio.tell():  # it closes a chunk by itself once that holds a megabyte
-                self._storage.close_chunk()
-        self._journal.commit()
-
-    def close(self) -> None:
-        """Finish the bag, with the reserve for its end. Raises BagError."""
-        self._reserve.close()
-        try:
-            self.commit(everything=True)
-        except OSError as error:
-            raise BagError(f"{self.path}: cannot write any further ({error})") from error
-        close_bag(self._writer, self._metadata, self._counts)
-        with suppress(OSError):
-            _sync(self.path)
-            (self.path / SIDECAR).unlink()
-
     def end(self, level: str, words: str) -> None:
         """Finish the bag with an event that says why. Raises BagError."""
         self.event(self._last, level, words)
         self.close()
-
-
-def _sync(folder: Path) -> None:
-    """Let a folder's entries survive a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _arrivals(pipe: int) -> Iterator[bytes]:

@@ -3,11 +3,12 @@
 They follow one another, each with its length. Where one is damaged, the next one that makes sense is looked for: a
 chunk of messages is compressed and carries a checksum, so it makes sense as a whole or not at all. (Messages of other
 recorders may lie outside chunks, and then without a checksum.) The index at the end of a file is not needed. Never is
-more of a file in memory than one record.
+more of a file in memory than one record, or a megabyte of small ones.
 """
 
 import re
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
@@ -16,11 +17,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor
 from numpy.typing import NDArray
-from rosbags.rosbag2.storage_mcap import decompress, read_bytes, read_string
-from ruamel.yaml import YAML
+from rosbags.rosbag2.storage_mcap import read_bytes, read_string
 
-__all__ = ["File", "Gap", "Remains", "Topic", "chunk_at", "embedded_metadata", "places"]
+from fiplib.bags import guards
+from fiplib.bags.messages import zstd
+
+__all__ = ["HEAD", "File", "Gap", "Piece", "Remains", "Topic", "chunk_at", "embedded_metadata", "piece_of", "profile"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT = 2, 3, 4, 5, 6, 9
@@ -33,9 +37,14 @@ _SUMMARY = (3, 4, 8, 10, 11, 13, 14)
 _DAMAGE = 0  # no opcode of MCAP: stands for bytes that are no record
 # Opcode and length of a message, a chunk or a metadata record; lengths from 2^40 on are none.
 _HEAD = re.compile(rb"(?=[\x05\x06\x0c].{5}\x00{3})", re.DOTALL)
+_OPCODES = (b"\x05", b"\x06", b"\x0c")
 _WINDOW = 1 << 20  # bytes in which they are looked for at once
-_LARGEST = 1 << 29  # bytes of a message or a chunk; a length beyond is damage
-_START = struct.Struct("<BQH")  # opcode and length of a record, and channel of a message
+_AHEAD = 1 << 16  # bytes that are read at once where little is asked for
+_LARGEST = guards.UNPACKED  # a length beyond is damage
+_START = struct.Struct("<BQ")  # opcode and length of a record
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # the same, channel, sequence, log and publish time
+HEAD = _MESSAGE_HEAD.size
+"""Bytes of a message's record before its content."""
 
 
 class File:
@@ -44,14 +53,20 @@ class File:
     def __init__(self, path: Path) -> None:
         self._stream = path.open("rb")
         self._size = path.stat().st_size
+        self._at, self._held = 0, b""
 
     def __len__(self) -> int:
         return self._size
 
     def __getitem__(self, part: slice) -> bytes:
         start, end, _ = part.indices(self._size)
-        self._stream.seek(start)
-        return self._stream.read(max(end - start, 0))
+        size = max(end - start, 0)
+        if start < self._at or end > self._at + len(self._held):
+            self._stream.seek(start)
+            if size > _AHEAD // 2:
+                return self._stream.read(size)
+            self._at, self._held = start, self._stream.read(_AHEAD)
+        return self._held[start - self._at : start - self._at + size]
 
     def __enter__(self) -> Self:
         return self
@@ -81,133 +96,179 @@ class Topic(NamedTuple):
     metadata: bytes
 
 
-class Remains:
-    """What is left in one MCAP file."""
+class Piece(NamedTuple):
+    """Messages in one piece of memory, in the order of their file; their records are left as they are."""
 
-    def __init__(self, path: Path) -> None:
+    content: bytes
+    channel: NDArray
+    """(n,) int64."""
+    time: NDArray
+    """(n,) int64, ns: log time."""
+    start: NDArray
+    """(n,) int64: where the content of a message begins in ``content``, ``HEAD`` bytes behind its record."""
+    end: NDArray
+
+    def part(self, keep: NDArray) -> "Piece":
+        """Return some of the messages."""
+        return Piece(self.content, *(column[keep] for column in self[1:]))
+
+
+def piece_of(messages: Collection[tuple[int, int, bytes]]) -> Piece:
+    """Return the records of messages: channel, log time in ns and content of each."""
+    parts, at, ends = [], 0, []
+    for channel, time, content in messages:
+        parts += (_MESSAGE_HEAD.pack(_MESSAGE, 22 + len(content), channel, 0, time, time), content)
+        at += HEAD + len(content)
+        ends.append(at)
+    channels, times, _ = zip(*messages, strict=True)
+    end = np.array(ends, np.int64)
+    start = np.append(0, end[:-1]) + HEAD
+    return Piece(b"".join(parts), np.array(channels, np.int64), np.array(times, np.int64), start, end)
+
+
+class Remains:
+    """What is left in one MCAP file.
+
+    Args:
+        path: the file.
+        seen: the chunks of the recording that were found before; one that is found again is left out, and its messages
+            are counted in ``repeated``.
+    """
+
+    def __init__(self, path: Path, seen: set[tuple[int, ...]] | None = None) -> None:
         self._path = path
-        with File(path) as content:
-            self.magic = content[:8] == _MAGIC
-            self.finished = content[-8:] == _MAGIC and len(content) > len(_MAGIC)
+        seen = set() if seen is None else seen
         self.entries: Mapping[str, Any] = {}
         self.gaps: list[Gap] = []
+        self.repeated = 0
         schemas: dict[int, tuple[str, str, str]] = {}
         channels: dict[int, tuple[int, str, str, bytes]] = {}
         counts: Counter[int] = Counter()
         spans: dict[int, tuple[int, int]] = {}
+        self._places: list[int] = []
         last: int | None = None
         open_gap, ended = 0, False
-        for opcode, data in _walk(path):
-            if opcode == _MESSAGE:
-                channel, log_time = _message(data)
-                if open_gap:
-                    self.gaps.append(Gap(open_gap, last, log_time, False))
-                    open_gap = 0
-                first, latest = spans.get(channel, (log_time, log_time))
-                spans[channel] = min(first, log_time), max(latest, log_time)
-                last = latest if last is None else max(last, log_time)
-                counts[channel] += 1
-            elif opcode == _DAMAGE:
-                open_gap += int.from_bytes(data)
-            elif opcode == _DATA_END:
-                ended = True
-            else:
-                with suppress(Exception):  # what does not hold what it should is as good as absent
-                    if opcode == _SCHEMA:
-                        stream = BytesIO(data[2:])
-                        schemas[_number(data)] = read_string(stream), read_string(stream), read_string(stream)
-                    elif opcode == _CHANNEL:
-                        stream = BytesIO(data[4:])
-                        words = read_string(stream), read_string(stream), read_bytes(stream)
-                        channels[_number(data)] = (_number(data[2:]), *words)
-                    elif opcode == _METADATA:
-                        self.entries = _custom_data(data) or self.entries
+        with File(path) as content:
+            self.magic = content[:8] == _MAGIC
+            self.finished = content[-8:] == _MAGIC and len(content) > len(_MAGIC)
+            for opcode, data, at in _walk(content):
+                if opcode == _MESSAGE:
+                    key = len(data.content), zlib.crc32(data.content), int(data.time[0]), int(data.time[-1])
+                    if key in seen:
+                        self.repeated += len(data.time)
+                        continue
+                    if content[at : at + 1] == b"\x06":
+                        seen.add(key)
+                    self._places.append(at)
+                    if open_gap:
+                        self.gaps.append(Gap(open_gap, last, int(data.time[0]), False))
+                        open_gap = 0
+                    for channel, count in zip(*np.unique(data.channel, return_counts=True), strict=True):
+                        times = data.time[data.channel == channel]
+                        first, latest = spans.get(channel, (times[0], times[0]))
+                        spans[channel] = min(first, times.min()), max(latest, times.max())
+                        counts[int(channel)] += int(count)
+                    last = max(last or 0, int(data.time.max()))
+                elif opcode == _DAMAGE:
+                    open_gap += data
+                elif opcode == _DATA_END:
+                    ended = True
+                else:
+                    with suppress(Exception):  # what does not hold what it should is as good as absent
+                        if opcode == _SCHEMA:
+                            stream = BytesIO(data[2:])
+                            schemas[_number(data)] = read_string(stream), read_string(stream), read_string(stream)
+                        elif opcode == _CHANNEL:
+                            stream = BytesIO(data[4:])
+                            words = read_string(stream), read_string(stream), read_bytes(stream)
+                            channels[_number(data)] = (_number(data[2:]), *words)
+                        elif opcode == _METADATA:
+                            self.entries = _custom_data(data) or self.entries
         if open_gap:
             self.gaps.append(Gap(open_gap, last, None, ended))
         self.topics: dict[int, Topic] = {}
+        self.foreign: set[str] = set()
+        """Encodings of messages that are not ROS 2."""
         for channel, (schema, name, encoding, metadata) in sorted(channels.items()):
             kind, language, definition = schemas.get(schema, ("", "", ""))
             if language in ("ros2msg", "ros2idl") and encoding == "cdr":
                 self.topics[channel] = Topic(name, kind, definition, metadata)
+            elif counts[channel]:
+                self.foreign.add(encoding or language)
         self.counts = {channel: count for channel, count in counts.items() if channel in self.topics}
         self.nameless = sum(counts.values()) - sum(self.counts.values())
-        self.start_ns = min((spans[channel][0] for channel in self.counts), default=0)
-        self.end_ns = max((spans[channel][1] for channel in self.counts), default=0)
+        self.start_ns = int(min((spans[channel][0] for channel in self.counts), default=0))
+        self.end_ns = int(max((spans[channel][1] for channel in self.counts), default=0))
 
-    def messages(self) -> Iterator[tuple[Topic, int, bytes]]:
-        """Topic, log time in ns and content of every message whose topic is known, in the order of the file."""
-        for opcode, data in _walk(self._path):
-            if opcode == _MESSAGE:
-                channel, log_time = _message(data)
-                if channel in self.topics:
-                    yield self.topics[channel], log_time, data[22:]
+    def pieces(self) -> Iterator[Piece]:
+        """All messages that are left, in the order of the file."""
+        with File(self._path) as content:
+            for at in self._places:
+                records, _ = _records_at(content, at, False)
+                yield from (data for opcode, data in records or () if opcode == _MESSAGE)
 
 
 def _number(data: bytes) -> int:
     return struct.unpack_from("<H", data)[0]
 
 
-def _message(data: bytes) -> tuple[int, int]:
-    """Channel and log time in ns of a message."""
-    channel, _, log_time = struct.unpack_from("<HIQ", data)
-    return channel, log_time
+def _walk(content: File) -> Iterator[tuple[int, Any, int]]:
+    """Opcode and content of every record of a file and of its chunks, and the place of the record.
 
-
-def _sound(data: bytes) -> bool:
-    """Whether this may be a message: its head is complete, and its log time one that ROS knows."""
-    return len(data) >= 22 and _message(data)[1] < 1 << 63
-
-
-def _walk(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of every record of a file and of its chunks, and ``_DAMAGE`` with the size of what is none.
-
-    Of attachments and indexes, which may be large, the content is left out.
+    Messages come as a ``Piece`` for each chunk, or for each megabyte of those outside; ``_DAMAGE`` comes with the
+    number of bytes that are no record. Of attachments and indexes, which may be large, the content is left out.
     """
-    with File(path) as content:
-        at = before = len(_MAGIC) if content[:8] == _MAGIC else 0
-        channels: set[int] = set()
-        ended = False
-        while at < len(content):
-            records, end = _records_at(content, at, ended)
-            if at == len(_MAGIC) and records and records[0][0] == _MESSAGE:
-                records = None  # a file begins with its header: this was one
-            if records is None:
-                # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged: its length led
-                # here. Not so a chunk, whose two lengths agree: its messages must not be found twice.
-                whole = end > at and content[at : at + 1] == b"\x06" and _framed(content, at + 9, end)
-                end = _next(content, end if whole else before + 1, channels)
-                yield _DAMAGE, max(end - at, 0).to_bytes(8)
-                before = at = end
-                continue
-            for opcode, data in records:
-                if opcode == _CHANNEL:
-                    channels.add(_number(data))
-                ended |= opcode == _DATA_END
-                yield opcode, data
-                if opcode == _FOOTER:
-                    return
-            before, at = (end - 1 if content[at : at + 1] == b"\x06" else at), end
+    at = before = len(_MAGIC) if content[:8] == _MAGIC else 0
+    channels: set[int] = set()
+    ended = False
+    while at < len(content):
+        records, end = _records_at(content, at, ended)
+        if at == len(_MAGIC) and records and content[at : at + 1] == b"\x05":
+            records = None  # a file begins with its header: this was one
+        if records is None:
+            # A chunk with a wrong checksum goes as a whole. Else the record before may be damaged: its length led
+            # here. Not so a chunk, whose two lengths agree: its messages must not be found twice.
+            whole = end > at and content[at : at + 1] == b"\x06" and _framed(content, at + 9, end)
+            end = _next(content, end if whole else before + 1, channels)
+            yield _DAMAGE, max(end - at, 0), at
+            before = at = end
+            continue
+        last = at
+        for opcode, data in records:
+            if opcode == _CHANNEL:
+                channels.add(_number(data))
+            elif opcode == _MESSAGE:
+                last = at + int(data.start[-1]) - HEAD
+            ended |= opcode == _DATA_END
+            yield opcode, data, at
+            if opcode == _FOOTER:
+                return
+        before, at = (end - 1 if content[at : at + 1] == b"\x06" else last), end
 
 
 def _next(content: File, at: int, channels: Collection[int]) -> int:
     """Where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
     for base in range(at, len(content), _WINDOW):
-        for match in _HEAD.finditer(content[base : base + _WINDOW + 8]):
+        window = content[base : base + _WINDOW + 8]
+        if not any(opcode in window for opcode in _OPCODES):  # nothing: a sparse file has gigabytes of zeros
+            continue
+        for match in _HEAD.finditer(window):
             start = base + match.start()
             records, end = _records_at(content, start, False)
             if records is None:
                 continue
             if content[start : start + 1] == b"\x05":
                 # may be an accident, unless its channel is known and another record follows
-                known = _number(records[0][1]) in channels
-                if not known or (end < len(content) and _records_at(content, end, False)[0] is None):
+                piece = records[0][1]
+                alone = len(piece.time) == 1 and end < len(content) and _records_at(content, end, False)[0] is None
+                if int(piece.channel[0]) not in channels or alone:
                     continue
             return start
     return len(content)
 
 
-def _records_at(content: File, at: int, ended: bool) -> tuple[list[tuple[int, bytes]] | None, int]:
-    """The record at a place, or the records of the chunk there, and where it ends; None if it makes no sense.
+def _records_at(content: File, at: int, ended: bool) -> tuple[list[tuple[int, Any]] | None, int]:
+    """The record at a place, or those of the chunk or the messages there, and where they end; None if no sense.
 
     ``ended`` says that the end of the data has passed, and the summary lies here.
     """
@@ -217,13 +278,16 @@ def _records_at(content: File, at: int, ended: bool) -> tuple[list[tuple[int, by
     opcode, start, end = head
     if opcode == _CHUNK:
         return _inside(content, start, end), end
+    if opcode == _MESSAGE:
+        if end - start > _LARGEST:
+            return None, end
+        piece, _, stop = _messages(content[at : max(end, min(at + _WINDOW, len(content)))], True)
+        return ([(_MESSAGE, piece)], at + stop) if len(piece.time) else (None, end)
     if opcode in _SHAPES:
         sound = _has_shape(content, start, end, *_SHAPES[opcode])
-    elif opcode == _MESSAGE:
-        sound = end - start <= _LARGEST and _sound(content[start : min(end, start + 22)])
     else:
         sound = opcode == _ATTACHMENT or (ended and opcode in _SUMMARY)
-    kept = opcode in (_MESSAGE, _SCHEMA, _CHANNEL, _METADATA)
+    kept = opcode in (_SCHEMA, _CHANNEL, _METADATA)
     return ([(opcode, content[start:end] if kept else b"")] if sound else None), end
 
 
@@ -261,68 +325,95 @@ def _unpacked(content: File, start: int, end: int) -> bytes:
     size, crc, compression, packed = _framed(content, start, end) or ()
     if max(size, end - packed) > _LARGEST:
         raise ValueError(f"a chunk of {size} bytes")
-    return decompress(content[packed:end], compression, size, crc)
+    raw = content[packed:end]
+    # never more than it says: some kilobytes can be made that unpack to more than fits into memory
+    if compression == "zstd":
+        raw = zstd.ZstdDecompressor().decompress(raw, max_length=size + 1)
+    elif compression == "lz4":
+        raw = LZ4FrameDecompressor().decompress(raw, max_length=size + 1)
+    elif compression:
+        raise ValueError(f"compressed by {compression}, which is none of MCAP's compressions")
+    if len(raw) != size or (crc and zlib.crc32(raw) != crc):
+        raise ValueError("its checksum is wrong" if len(raw) == size else f"{len(raw)} bytes in place of {size}")
+    return raw
 
 
-def _inside(content: File, start: int, end: int) -> list[tuple[int, bytes]] | None:
+def _messages(raw: bytes, alone: bool = False) -> tuple[Piece, list[int], int]:
+    """The messages among the records of a chunk, the places of other records, and where the last record ends.
+
+    ``alone`` says that these are no chunk's: what is no message ends them, and so does one that makes no sense.
+    """
+    found: list[int] = []
+    others: list[int] = []
+    at, size, start = 0, len(raw), _START.unpack_from
+    with suppress(struct.error):
+        while at < size:
+            opcode, length = start(raw, at)
+            end = at + 9 + length
+            if end > size or (alone and opcode != _MESSAGE):
+                break
+            (found if opcode == _MESSAGE else others).append(at)
+            at = end
+    head = np.array(found, np.int64)
+    if len(head):
+        view = np.frombuffer(raw, np.uint8)
+        if head[-1] + HEAD > size:  # too short to be one
+            head = head[:-1]
+        length, time = (_numbers(view, head + offset) for offset in (1, 15))
+        sound = (length >= 22) & (time >= 0)
+        if alone and not sound.all():
+            at, sound[np.argmin(sound) :] = int(head[np.argmin(sound)]), False
+        channel = view[head + 9] + 256 * view[head + 10].astype(np.int64)
+        piece = Piece(raw, channel, time, head + HEAD, head + 9 + length)
+        return (piece if sound.all() else piece.part(sound)), others, at
+    return Piece(raw, head, head, head, head), others, at
+
+
+def _inside(content: File, start: int, end: int) -> list[tuple[int, Any]] | None:
     """The records of a chunk; None if it is damaged."""
     try:
         raw = _unpacked(content, start, end)
     except Exception:
         return None
-    records, at = [], 0
-    while head := _head(raw, at):
-        opcode, first, at = head
-        shape = _SHAPES.get(opcode) if opcode in (_SCHEMA, _CHANNEL) else None
-        if (opcode == _MESSAGE and _sound(raw[first:at])) or (shape and _has_shape(raw, first, at, *shape)):
-            records.append((opcode, raw[first:at]))
+    piece, others, stop = _messages(raw)
+    records: list[tuple[int, Any]] = []
+    for opcode, first, last in (_head(raw, at) or (0, 0, 0) for at in others):
+        if opcode in (_SCHEMA, _CHANNEL) and _has_shape(raw, first, last, *_SHAPES[opcode]):
+            records.append((opcode, raw[first:last]))
+    if len(piece.time):
+        records.append((_MESSAGE, piece))
+    if stop < len(raw):  # only where it has no checksum
+        records.append((_DAMAGE, len(raw) - stop))
     return records
 
 
-def chunk_at(content: File, at: int) -> bytes:
-    """The records of the chunk at a place of a file. Raises ValueError if it is damaged."""
+def chunk_at(content: File, at: int) -> Piece:
+    """The messages of the chunk at a place of a file. Raises ValueError if it is damaged."""
     head = _head(content, at)
     try:
         if head and head[0] == _CHUNK:
-            return _unpacked(content, head[1], head[2])
-        reason = "no chunk is there"
+            raw = _unpacked(content, head[1], head[2])
+            piece, _, stop = _messages(raw)
+            if stop == len(raw):
+                return piece
+            reason = "its records do not fill it"
+        else:
+            reason = "no chunk is there"
     except Exception as error:
         reason = str(error)
     raise ValueError(f"the chunk at byte {at}: {reason}")
 
 
-def places(raw: bytes, channels: Collection[int]) -> dict[int, tuple[NDArray, NDArray, NDArray]]:
-    """Log times in ns, starts and ends of the messages in a chunk, (n,) int64 each, for those channels that occur.
-
-    Raises ValueError if its records do not fill it.
-    """
-    found: dict[int, list[int]] = {channel: [] for channel in channels}
-    at, size, start = 0, len(raw), _START.unpack_from
-    try:
-        while at < size:
-            opcode, length, channel = start(raw, at)
-            if opcode == _MESSAGE and channel in found:
-                found[channel].append(at)
-            at += 9 + length
-    except struct.error:
-        at = -1
-    if at != size:
-        raise ValueError("a chunk whose records do not fill it")
-    view = np.frombuffer(raw, np.uint8)
-    result = {}
-    for channel, starts in found.items():
-        if starts:
-            head = np.array(starts)
-            length, log_time = (_numbers(view, head + offset) for offset in (1, 15))
-            if (length < 22).any() or (log_time < 0).any():
-                raise ValueError("a message without its head")
-            result[channel] = log_time, head + 31, head + 9 + length
-    return result
-
-
 def _numbers(view: NDArray, at: NDArray) -> NDArray:
     """The 8-byte integers at these places, (n,) int64."""
     return view[at[:, None] + np.arange(8)].view("<i8")[:, 0]
+
+
+def profile(file: Path) -> str:
+    """What the header of an MCAP file says that its messages are: ``ros2``, or another word."""
+    with File(file) as content:
+        head = _head(content, len(_MAGIC))
+        return read_string(BytesIO(content[head[1] : head[2]])) if head and head[0] == 1 else "ros2"
 
 
 def embedded_metadata(source: Path) -> Mapping[str, Any]:
@@ -334,7 +425,11 @@ def embedded_metadata(source: Path) -> Mapping[str, Any]:
     with File(source) as content:
         while head := _head(content, at):
             opcode, start, at = head
-            if opcode == _METADATA and (entries := _custom_data(content[start:at])) is not None:
+            if (
+                opcode == _METADATA
+                and at - start <= guards.WORDS
+                and (entries := _custom_data(content[start:at])) is not None
+            ):
                 return entries
             if opcode == _FOOTER:
                 return {}
@@ -352,7 +447,7 @@ def _custom_data(data: bytes) -> Mapping[str, Any] | None:
     stream.read(4)  # the size of the map
     if read_string(stream) != "serialized_metadata":
         return None
-    information = YAML(typ="safe").load(read_string(stream))
+    information = guards.words(read_string(stream))
     if "custom_data" not in information and information["version"] >= 6:
         return None
     return dict(information.get("custom_data") or {})

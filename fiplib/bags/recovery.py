@@ -2,20 +2,19 @@
 
 import functools
 import json
-import shutil
-from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import get_qos
-from ruamel.yaml import YAML
 
+from fiplib.bags import guards
+from fiplib.bags.copying import Copy
+from fiplib.bags.files import files_of, information_of, magic, name_what_it_is, plain
 from fiplib.bags.mcap import Gap, Remains
-from fiplib.bags.messages import SIDECAR, definitions, genuine, unpacked
-from fiplib.bags.writer import close_bag, open_bag
+from fiplib.bags.messages import SIDECAR, genuine
 from fiplib.params import NANO
 from fiplib.recording import BagError
 
@@ -43,6 +42,12 @@ class Recovery(NamedTuple):
     gaps: tuple[Gap, ...]
     nameless: int
     """Messages of topics that a damaged chunk described, or that are not ROS 2: they are left out."""
+    repeated: int
+    """Messages that the recording holds once more: each is saved once."""
+    unreadable: int
+    """Messages that were compressed one by one and are damaged: they are left out."""
+    missing: tuple[str, ...]
+    """Files that metadata.yaml names and that are not there."""
     finished: bool
     """Whether the recording had been brought to its end."""
     start_ns: int
@@ -53,6 +58,12 @@ class Recovery(NamedTuple):
     def seconds(self) -> float:
         """From the first message saved to the last, in s."""
         return (self.end_ns - self.start_ns) / NANO
+
+    @property
+    def undamaged(self) -> bool:
+        """Whether there was nothing to recover: the new bag is a copy."""
+        lost = self.gaps or self.nameless or self.repeated or self.unreadable or self.missing
+        return self.finished and not lost and not any(topic.lost for topic in self.saved)
 
     def describe(self) -> str:
         """What was saved and what was lost, in lines."""
@@ -86,8 +97,16 @@ class Recovery(NamedTuple):
             losses.append(f"{gap.size} damaged bytes {where}")
         if self.nameless:
             losses.append(f"{self.nameless} messages of topics whose description was damaged, or that are not ROS 2")
+        if self.repeated:
+            losses.append(f"nothing of {self.repeated} messages that were there twice: one of each is saved")
+        if self.unreadable:
+            losses.append(f"{self.unreadable} messages that were compressed one by one and are damaged")
+        if self.missing:
+            losses.append(f"the files {', '.join(self.missing)}, which are not there")
         if not self.finished:
             losses.append("what came after: the file ends before its recording did (by 1 s at most if that was killed)")
+        if self.undamaged:
+            return ["nothing: the recording is undamaged, and can be read as it is"]
         return losses or ["nothing"]
 
 
@@ -102,37 +121,63 @@ def recover(source: str | Path, output: str | Path | None = None) -> Recovery:
         BagError: there is nothing to recover, or the new bag cannot be written.
     """
     source = Path(source)
-    files = _files(source)
+    missing: list[str] = []
+    files = _files(source, missing)
     name = source.stem if source.is_file() else source.resolve().name
     output = Path(output) if output else source.parent / f"{name}-recovered"
     if source.is_dir() and output.resolve().is_relative_to(source.resolve()):
         raise BagError(f"{output}: lies inside {source}, which is to stay as it is: choose another --output")
-    remains = [_remains(file) for file in files]
-    if not any(rest.counts for rest in remains):
-        kind = "no complete message is left in it" if any(rest.magic for rest in remains) else "it is no MCAP recording"
-        raise BagError(f"{source}: nothing to recover: {kind}")
-    return _rewritten(source, output, sorted(remains, key=lambda rest: rest.start_ns))
+    with ExitStack() as stack:
+        remains = _remains(files, stack)
+        if not any(rest.counts for rest in remains):
+            raise BagError(f"{source}: nothing to recover: {_nothing(files, remains)}")
+        return _rewritten(source, output, sorted(remains, key=lambda rest: rest.start_ns), tuple(missing))
 
 
 def intact_messages(source: Path) -> int:
     """How many messages ``recover`` would save."""
-    return sum(sum(_remains(file).counts.values()) for file in _files(source))
+    with ExitStack() as stack:
+        return sum(sum(rest.counts.values()) for rest in _remains(_files(source, []), stack))
 
 
-def _files(source: Path) -> list[Path]:
-    if not source.exists():
-        raise BagError(f"{source}: no such file or directory")
-    files = [source] if source.is_file() else sorted(source.glob("*.mcap"))
-    if not files:
-        raise BagError(f"{source}: nothing to recover: there is no .mcap file in it")
+def _files(source: Path, missing: list[str]) -> list[Path]:
+    """The files of the recording that can be recovered. Raises BagError, which names what they are, if none can."""
+    guards.recording(source)
+    information: Mapping[str, Any] = {}
+    with suppress(Exception):  # whatever YAML raises where it is damaged
+        information = information_of(source)
+    files = files_of(source, information, missing)
+    for file in files:
+        try:
+            kind = magic(file)
+        except OSError as error:
+            raise BagError(f"{file}: cannot be opened ({error.strerror})") from error
+        if kind == "sqlite3" or (file.suffix == ".db3" and kind != "mcap"):
+            raise BagError(
+                f"{file}: a sqlite3 bag, and recover mends MCAP alone. If it is sound, fip bag info "
+                f"{shlex.quote(str(source))} reads it as it is; if not, SQLite's own tool saves what is left: "
+                f"sqlite3 {shlex.quote(str(file))} .recover | sqlite3 new.db3"
+            )
+        if kind != "mcap":
+            name_what_it_is(file)
     return files
 
 
-def _remains(file: Path) -> Remains:
-    try:
-        return Remains(file)
-    except OSError as error:
-        raise BagError(f"{file}: cannot be opened ({error.strerror})") from error
+def _remains(files: Sequence[Path], stack: ExitStack) -> list[Remains]:
+    remains, seen = [], set()
+    for file in files:
+        try:
+            remains.append(Remains(plain(file, stack, damaged=True), seen))
+        except OSError as error:
+            raise BagError(f"{file}: cannot be opened ({error.strerror})") from error
+    return remains
+
+
+def _nothing(files: Sequence[Path], remains: Sequence[Remains]) -> str:
+    """Why nothing can be recovered."""
+    if foreign := sorted({word for rest in remains for word in rest.foreign}):
+        return f"its messages are {', '.join(foreign)}, not ROS 2"
+    return "no complete message is left in it" if any(rest.magic for rest in remains) else "it is no MCAP recording"
 
 
 def _qos(metadata: bytes) -> Sequence[Any]:
@@ -143,7 +188,7 @@ def _qos(metadata: bytes) -> Sequence[Any]:
         return ()
 
 
-def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recovery:
+def _rewritten(source: Path, output: Path, remains: Sequence[Remains], missing: tuple[str, ...]) -> Recovery:
     entries = _entries(source, remains)
     expected = json.loads(entries.pop("messages", "{}"))
     gaps = tuple(gap for rest in remains for gap in rest.gaps)
@@ -152,30 +197,16 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recove
     if "recovered" in entries:
         history["before"] = json.loads(entries["recovered"])
     entries["recovered"] = json.dumps(history)
-    writer = open_bag(output)
-    connections: dict[tuple[str, str], Connection] = {}
-    counts: Counter[str] = Counter()
-    try:
+    with Copy(output) as copy:
         for rest in remains:
-            for topic in rest.topics.values():
-                if topic[:2] not in connections:
-                    connections[topic[:2]] = writer.add_connection(
-                        topic.name,
-                        topic.type,
-                        msgdef=topic.definition,
-                        rihs01=_type_hash(topic.type, topic.definition),
-                        offered_qos_profiles=_qos(topic.metadata),
-                    )
-            for topic, log_time, data in rest.messages():
-                writer.write(connections[topic[:2]], log_time, unpacked(data))
-                counts[topic.name] += 1
-        close_bag(writer, entries, counts)
-    except BaseException as error:
-        shutil.rmtree(output, ignore_errors=True)  # half a bag helps nobody
-        if isinstance(error, OSError):
-            raise BagError(f"{output}: cannot write the recovered bag ({error.strerror or error})") from error
-        raise
-    kinds = dict.fromkeys(expected, "unknown") | dict(connections.keys())
+            numbers = {
+                channel: copy.topic(topic.name, topic.type, topic.definition, _qos(topic.metadata))
+                for channel, topic in rest.topics.items()
+            }
+            for piece in rest.pieces():
+                copy.put(piece, numbers)
+        copy.finish(entries)
+    counts, kinds = copy.counts, dict.fromkeys(expected, "unknown") | copy.topics
     saved = tuple(
         Saved(name, kinds[name], counts[name], expected[name] - counts[name] if name in expected else None)
         for name in sorted(kinds)
@@ -188,18 +219,13 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains]) -> Recove
         saved,
         gaps,
         sum(rest.nameless for rest in remains),
+        sum(rest.repeated for rest in remains),
+        copy.unreadable,
+        missing,
         finished,
         min(rest.start_ns for rest in known),
         max(rest.end_ns for rest in known),
     )
-
-
-@functools.cache
-def _type_hash(kind: str, definition: str) -> str:
-    """The hash by which ROS 2 names a message definition."""
-    with suppress(Exception):  # a definition that the library cannot parse: no reader of bags needs the hash
-        return definitions(kind, definition).hash_rihs01(kind)
-    return f"RIHS01_{0:064}"
 
 
 def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
@@ -207,9 +233,9 @@ def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
     folder = source if source.is_dir() else source.parent
     places: list[Callable[[], Any]] = [functools.partial(getattr, rest, "entries") for rest in remains]
     if source.is_dir() or source.stem == folder.name:
-        yaml = YAML(typ="safe")
-        places.insert(0, lambda: yaml.load(folder / "metadata.yaml")["rosbag2_bagfile_information"]["custom_data"])
-        places.append(lambda: yaml.load(folder / SIDECAR))
+        known = "rosbag2_bagfile_information"
+        places.insert(0, lambda: guards.words(folder / "metadata.yaml")[known]["custom_data"])
+        places.append(lambda: guards.words(folder / SIDECAR))
     for place in places:
         with suppress(Exception):  # whatever YAML and JSON raise where the file is absent or damaged
             if (entries := place()) and genuine(entries):

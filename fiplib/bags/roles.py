@@ -22,6 +22,7 @@ _MOCAP = re.compile(r"mocap|vrpn|natnet|optitrack|vicon|qualisys|motive|rigid")
 _NOT_MEASURED = re.compile(r"setpoint|goal|target|reference|desired|command|cmd|truth")
 _COMMAND = re.compile(r"setpoint|command|cmd|target")
 _HIGHER = 0.1  # m by which the rod lies above the vehicle at least, for heights to say which is which
+_SELDOM = 0.1  # share of the messages of the most frequent poses below which others are not motion capture
 _PEEK = 20  # blocks of a topic in which its bodies are looked for
 
 
@@ -76,10 +77,16 @@ def _guessed(source: Source, known: Mapping[str, Place]) -> dict[str, tuple[Plac
     taken = set(known.values())
     found: dict[str, tuple[Place, str]] = {}
     if missing := [body for body in BODIES if body not in known]:
-        heights = {
-            place: height
+        measured = {
+            topic: stored.count
             for topic, stored in source.topics.items()
             if stored.count and not _NOT_MEASURED.search(topic.lower()) and carries_poses(stored)
+        }
+        most = max(measured.values(), default=0)
+        heights = {
+            place: height
+            for topic, count in measured.items()
+            if count > _SELDOM * most  # plans, maps and anchors come seldom
             for body, height in _bodies(source, topic).items()
             if (place := Place(topic, body)) not in taken
         }

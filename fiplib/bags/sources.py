@@ -4,13 +4,11 @@ Messages come in blocks, a chunk of the file at a time: what a bag needs in memo
 """
 
 import shlex
-import shutil
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
-from pathlib import Path, PurePath
-from tempfile import TemporaryDirectory
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,15 +16,16 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-from ruamel.yaml import YAML
 
-from fiplib.bags.mcap import File, chunk_at, embedded_metadata, places
-from fiplib.bags.messages import ZSTD, unpacked, zstd
+from fiplib.bags.files import files_of, information_of, magic, name_what_it_is, plain
+from fiplib.bags.mcap import File, Piece, chunk_at, embedded_metadata, piece_of
+from fiplib.bags.messages import ZSTD, unpacked
 from fiplib.recording import BagError
 
 _BLOCK = 4096  # messages in a block where the storage has no chunks, and their bytes
 _BYTES = 1 << 22
-_FILES = ("*.mcap", "*.db3", "*.mcap.zst*", "*.db3.zst*")
+FOREIGN = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")
+"""How MCAP calls the definitions of messages that are not ROS 2."""
 
 
 class Block(NamedTuple):
@@ -69,29 +68,47 @@ class Source(NamedTuple):
             wanted = {link.id: link for link in storage.connections if link.topic in topics}
             if not wanted:
                 continue
-            if isinstance(storage, McapReader) and storage.chunks:
-                found = _chunks(storage, wanted)
-            else:
-                found = _batches(storage, wanted)
-            for block in found:
+            for block in _blocks(storage, wanted):
                 yield _decompressed(block) if block.message(0).startswith(ZSTD) else block
+
+    def pieces(self, start: int, stop: int) -> Iterator[tuple[McapReader | Sqlite3Reader, Piece]]:
+        """All messages from a log time to before another, in ns, in the order of the files, and the file of each."""
+        for storage in self.storages:
+            links = {link.id: link for link in storage.connections}
+            if isinstance(storage, McapReader) and storage.chunks:
+                found = _chunks(storage, links, start, stop)
+            else:
+                found = _batches(storage, links, start, stop)
+            for piece in found:
+                keep = (piece.time >= start) & (piece.time < stop)
+                if keep.any():
+                    yield storage, piece if keep.all() else piece.part(keep)
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Source]:
     """Open a bag. Raises BagError, or whatever the libraries raise where it is damaged."""
     with ExitStack() as stack:
-        information = _information(path)
+        information = information_of(path)
         storages = []
-        for file in _files(path, information):
-            storage = _storage(_whole(file, stack))
-            storage.open()
+        for file in files_of(path, information):
+            storage = _storage(plain(file, stack))
+            try:
+                storage.open()
+            except Exception as error:
+                name_what_it_is(file)
+                if isinstance(error, KeyError) and error.args[0] in FOREIGN:
+                    raise BagError(
+                        f"{file}: some of its topics are no ROS 2 messages ({error.args[0]}); the others into a new "
+                        f"bag with: fip bag recover {shlex.quote(str(path))}"
+                    ) from error
+                raise
             stack.callback(storage.close)
             storages.append(storage)
         storages.sort(key=lambda storage: storage.metadata.start_time)
         spans = [storage.metadata for storage in storages]
         if not information and any(one.end_time > other.start_time + 1 for one, other in pairwise(spans)):
-            raise _no_bag(path, f"{len(storages)}, which overlap in time")
+            raise BagError(f"{path}: its {len(storages)} files overlap in time: give the one that is meant")
         counts: Counter[str] = Counter()
         topics: dict[str, Stored] = {}
         for link in (link for storage in storages for link in storage.connections):
@@ -108,103 +125,51 @@ def opened(path: Path) -> Iterator[Source]:
         yield Source(custom, topics, tuple(storages))
 
 
-def _information(path: Path) -> Mapping[str, Any]:
-    """What metadata.yaml says; empty if there is none."""
-    if not path.exists():
-        raise BagError(f"{path}: no such file or directory")
-    file = path / "metadata.yaml"
-    if path.is_file() or not file.exists():
-        return {}
-    return dict(YAML(typ="safe").load(file.read_text())["rosbag2_bagfile_information"])
-
-
-def _files(path: Path, information: Mapping[str, Any]) -> list[Path]:
-    if path.is_file():
-        if is_ros1(path) or path.suffix.lower() in (".csv", ".tsv"):
-            kind = "a bag of ROS 1" if is_ros1(path) else "a CSV file"
-            raise BagError(f"{path}: {kind}; convert it into a ROS 2 bag with: {suggestion(path)}")
-        if path.suffix not in (".mcap", ".db3", ".zst", ".zstd") and not _magic(path):
-            raise BagError(f"{path}: not a bag; give the bag's directory or its .mcap file")
-        return [path]
-    files = [path / PurePath(name).name for name in information.get("relative_file_paths", ())]
-    if not files or not all(file.is_file() for file in files):  # no metadata, or files that were renamed since
-        files = sorted(file for pattern in _FILES for file in path.glob(pattern) if file.is_file())
-    if not files:
-        raise _no_bag(path, "0")
-    return files
-
-
-def is_ros1(path: Path) -> bool:
-    """Whether a file is a bag of ROS 1, by its first bytes or its name."""
-    return path.suffix == ".bag" or _magic(path) == "ros1"
-
-
-def suggestion(path: Path) -> str:
-    """The command that converts a recording of another kind."""
-    return f"fip bag convert {shlex.quote(str(path))}"
-
-
-def _no_bag(path: Path, count: str) -> BagError:
-    return BagError(f"{path}: not a bag: neither metadata.yaml nor exactly one .mcap file (there are {count})")
-
-
-def _magic(file: Path) -> str:
-    """The kind of a file by its first bytes."""
-    with file.open("rb") as stream:
-        head = stream.read(16)
-    kinds = {b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3", b"#ROSBAG": "ros1", ZSTD: "zstd"}
-    return next((kind for magic, kind in kinds.items() if head.startswith(magic)), "")
-
-
-def _whole(file: Path, stack: ExitStack) -> Path:
-    """The file, or its content in a temporary one if it was compressed as a whole."""
-    if _magic(file) != "zstd":
-        return file
-    target = Path(stack.enter_context(TemporaryDirectory())) / file.stem
-    with zstd.open(file, "rb") as packed, target.open("wb") as plain:
-        shutil.copyfileobj(packed, plain, 1 << 20)
-    return target
-
-
 def _storage(file: Path) -> McapReader | Sqlite3Reader:
-    kind = _magic(file) or ("sqlite3" if file.suffix == ".db3" else "mcap")
+    kind = magic(file) or ("sqlite3" if file.suffix == ".db3" else "mcap")
     return Sqlite3Reader(file) if kind == "sqlite3" else McapReader(file)
 
 
-def _chunks(storage: McapReader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
-    """Of every chunk that holds what is wanted, unpacked and checked, the places of its messages."""
+def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: int = 1 << 63) -> Iterator[Piece]:
+    """Of every chunk that holds what is wanted between two log times in ns, unpacked and checked, its messages."""
     with File(Path(storage.path)) as file:
         for info in sorted(storage.chunks, key=lambda info: info.chunk_start_offset):
             if info.channel_count and not any(info.channel_count.get(channel) for channel in wanted):
                 continue
-            content = chunk_at(file, info.chunk_start_offset)
-            for channel, (received, start, end) in places(content, wanted).items():
-                yield Block(wanted[channel].topic, received, content, start, end)
+            if start <= info.message_end_time and info.message_start_time < stop:
+                yield chunk_at(file, info.chunk_start_offset)
 
 
-def _batches(storage: McapReader | Sqlite3Reader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
+def _blocks(storage: McapReader | Sqlite3Reader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
+    """The messages of some topics, a block for each topic of each chunk."""
+    chunked = isinstance(storage, McapReader) and storage.chunks
+    for piece in _chunks(storage, wanted) if chunked else _batches(storage, wanted):
+        for channel, link in wanted.items():
+            if (keep := piece.channel == channel).any():
+                yield Block(link.topic, piece.time[keep], piece.content, piece.start[keep], piece.end[keep])
+
+
+def _batches(
+    storage: McapReader | Sqlite3Reader,
+    wanted: Mapping[int, Connection],
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[Piece]:
     """Messages as the library finds them, joined."""
-    held: dict[str, tuple[list[int], list[bytes]]] = {link.topic: ([], []) for link in wanted.values()}
-    size: Counter[str] = Counter()
-    for link, log_time, data in storage.messages(list(wanted.values())):
-        times, messages = held[link.topic]
-        times.append(log_time)
-        messages.append(data)
-        size[link.topic] += len(data)
-        if len(times) == _BLOCK or size[link.topic] > _BYTES:
-            yield _joined(link.topic, times, messages)
-            held[link.topic], size[link.topic] = ([], []), 0
-    for topic, (times, messages) in held.items():
-        if times:
-            yield _joined(topic, times, messages)
-
-
-def _joined(topic: str, received: Any, messages: list[bytes]) -> Block:
-    end = np.cumsum([len(message) for message in messages])
-    start = np.concatenate([[0], end[:-1]])
-    return Block(topic, np.asarray(received, np.int64), b"".join(messages), start, end)
+    held: list[tuple[int, int, bytes]] = []
+    size = 0
+    for link, time, data in storage.messages(list(wanted.values()), start, stop):
+        held.append((link.id, time, data))
+        size += len(data)
+        if len(held) == _BLOCK or size > _BYTES:
+            yield piece_of(held)
+            held, size = [], 0
+    if held:
+        yield piece_of(held)
 
 
 def _decompressed(block: Block) -> Block:
     """The block with every message unpacked that was compressed by itself."""
-    return _joined(block.topic, block.received, [unpacked(block.message(i)) for i in range(len(block.start))])
+    contents = [unpacked(block.message(index)) for index in range(len(block.start))]
+    end = np.cumsum([len(content) for content in contents])
+    return Block(block.topic, block.received, b"".join(contents), np.append(0, end[:-1]), end)

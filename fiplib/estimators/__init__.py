@@ -1,9 +1,10 @@
 """Estimators of the pendulum's length, one a file, behind one call.
 
-``ESTIMATORS[name].function(window, params, rng) -> Estimate``. An estimator of kind 'states' takes the paper's window
-(``kalman.Window``: 55 derived states in steps of 0.1 s) and uses the paper's model; one of kind 'raw' takes motion
-capture as measured (``windows.RawWindow``). To add one, write a file with such a function and a line of ``ESTIMATORS``;
-it is imported when it is first called.
+``ESTIMATORS[name].function(window, params, rng) -> Estimate`` is what flies; ``answer``, with the same arguments, is
+what may be stated as a result: refused at an end of the search interval, or where the residuals contradict it. An
+estimator of kind 'states' takes the paper's window (``kalman.Window``: 55 derived states in steps of 0.1 s) and uses
+the paper's model; one of kind 'raw' takes motion capture as measured (``windows.RawWindow``). To add one, write a file
+with such a function and a line of ``ESTIMATORS``; it is imported when it is first called.
 
 What they do with the same window:
 

@@ -20,6 +20,7 @@ class ArmChecks:
 
     Attributes:
         waiting: why the vehicle may not be armed yet; empty once it may.
+        doubt: what the link has against arming, from outside; ``None`` if nothing.
     """
 
     def __init__(self, params: Params, limits: Limits, start: NDArray) -> None:
@@ -27,6 +28,7 @@ class ArmChecks:
         self._steady_since: int | None = None
         self._arrivals: deque[int] = deque()
         self.waiting = "no poses yet"
+        self.doubt: str | None = None
 
     def passed(self, now: int, good: Measurement, lean: float, tilt: float, speed: float) -> bool:
         """Take a good frame that arrived at ``now`` ns.
@@ -59,6 +61,8 @@ class ArmChecks:
 
     def _failure(self, good: Measurement, lean: float, tilt: float, speed: float) -> str | None:
         safety, estimation = self._safety, self._params.estimation
+        if self.doubt is not None:
+            return self.doubt
         rod = rod_of(good, self._params)
         reach = float(np.linalg.norm(rod))
         if not 0.5 * estimation.length_min <= reach <= 0.5 * estimation.length_max + 0.1:

@@ -16,11 +16,12 @@ from pathlib import Path
 from tqdm import tqdm
 
 from fiplib import bags, simulate
+from fiplib.bags.replacing import NewBag
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits, changed
 from fiplib.flight.links import available
 from fiplib.flight.loop import FlightLoop
-from fiplib.flight.session import NewBag, Session
+from fiplib.flight.session import Session
 from fiplib.params import assignment
 from fiplib.pilot import Pilot
 from fiplib.simulate import Scenario
@@ -32,12 +33,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action.add_argument("--scenario", metavar="NAME", help="which flight to fly (see --list)")
     action.add_argument("--list", action="store_true", help="list the scenarios")
     parser.add_argument("--output", metavar="BAG", help="folder of the bag to write (default: the scenario's name)")
-    parser.add_argument("--force", action="store_true", help="replace BAG if it is a bag already")
+    parser.add_argument("--force", action="store_true", help="replace BAG, if it is a bag, once the new one is whole")
     parser.add_argument("--seed", type=int, help="seed of noise and estimator (default: the scenario's)")
     change = "change a parameter of fiplib/params.py or flight/limits.py, e.g. pendulum.length=0.8; may be repeated"
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.NAME=VALUE", help=change)
     parser.add_argument("--duration", type=float, metavar="S", help="seconds to fly (default: the scenario's)")
     parser.add_argument("--arm", action="store_true", help="arm a real vehicle without waiting for Enter")
+    untested = (
+        "fly a real vehicle although the machine fails the self-test of its deadlines, a second before the flight"
+    )
+    parser.add_argument("--ignore-self-test", action="store_true", help=untested)
     links = available()
     parser.add_argument("--link", choices=links, default="sim", help="how to reach the vehicle (default: %(default)s)")
     for name, link in links.items():
@@ -45,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fly as the options ask; returns the exit status, 130 after an operator's abort."""
+    """Fly as the options ask; returns the exit status, see ``fly``."""
     if options.list:
         return list_scenarios()
     scenario, limits = chosen(options)
@@ -95,19 +100,30 @@ def session_of(options: argparse.Namespace, scenario: Scenario, limits: Limits, 
     ask = (link.origin == "real" or options.link == "crsf") and not options.arm
     if ask and not sys.stdin.isatty():
         raise ValueError(f"--link {options.link}: no terminal on which to press Enter; --arm arms without")
-    return Session(scenario, limits, link, output, options.link != "sim" or options.real_time, ask, options.force)
+    real_time = options.link != "sim" or options.real_time
+    tested = None if link.origin != "real" else not options.ignore_self_test
+    return Session(scenario, limits, link, output, real_time, ask, options.force, tested)
 
 
 def fly_simulated(scenario: Scenario, output: Path, force: bool) -> int:
     """Fly in the simulator, without failsafe, and record; returns the exit status 0. Raises BagError."""
-    started = time.perf_counter()
-    with (
-        NewBag(output, force) as bag,
-        bags.BagRecorder(output, scenario.metadata()) as recorder,
-        tqdm(total=round(scenario.duration), unit="s", desc=scenario.name, disable=None, leave=False) as bar,
-    ):
-        bag.begun = True
-        flight = simulate.fly(scenario, recorder, lambda seconds: bar.update(round(seconds) - bar.n))
+    started, bag = time.perf_counter(), NewBag(output, force)
+    try:
+        with (
+            bag,
+            bags.BagRecorder(bag.path, scenario.metadata()) as recorder,
+            tqdm(total=round(scenario.duration), unit="s", desc=scenario.name, disable=None, leave=False) as bar,
+        ):
+
+            def progress(
+                seconds: float,
+            ) -> None:  # called when the first step is done: what can be refused is so before
+                bag.begun = bag.flown = True
+                bar.update(round(seconds) - bar.n)
+
+            flight = simulate.fly(scenario, recorder, progress)
+    finally:
+        said(bag.left)
     seconds, end = time.perf_counter() - started, "still balanced" if flight.survived else "FELL"
     print(f"simulated {flight.duration:.2f} s in {seconds:.1f} s, {end}; wrote {output}")
     return 0
@@ -121,7 +137,8 @@ def fly(session: Session, guard: Guard, observer: Callable[[FlightLoop, Session]
         observer: called after each step of the loop.
 
     Returns:
-        The exit status: 0, or 130 after an operator's abort.
+        The exit status: 0 of a flight that ended on the ground, 130 after an operator's abort, else 1: the vehicle was
+        not armed, or was disarmed in the air.
     """
     started = ended = 0.0
     try:
@@ -130,15 +147,25 @@ def fly(session: Session, guard: Guard, observer: Callable[[FlightLoop, Session]
             watch = None if observer is None else lambda loop: observer(loop, session)
             loop = FlightLoop(session.scenario, session.link, guard, *beside, watch)
             started = time.perf_counter()
-            loop.run()
-            ended = time.perf_counter()
+            try:
+                loop.run()
+                ended = time.perf_counter()
+            finally:
+                session.bag.flown = loop.flown
     finally:  # whatever becomes of the recording
         if ended:
-            with contextlib.suppress(OSError):  # the terminal may be gone
-                print(summary(session, loop, ended - started))
-    with contextlib.suppress(OSError):
-        print(f"wrote {session.output}")
-    return 130 if session.operator.reason else 0
+            said(summary(session, loop, ended - started))
+        said(session.bag.left)
+    if not session.bag.left:
+        said(f"wrote {session.output}")
+    return 130 if session.operator.reason else 0 if guard.landed else 1
+
+
+def said(words: str) -> None:
+    """Print a line, if there is one; a terminal that is gone ends no flight."""
+    if words:
+        with contextlib.suppress(OSError):
+            print(words, flush=True)
 
 
 def summary(session: Session, loop: FlightLoop, seconds: float) -> str:

@@ -6,6 +6,7 @@ Simulated only: none of this has flown on a vehicle.
 """
 
 import math
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from fiplib.kalman import Window
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, X, Y
 from fiplib.pilot import Command, Pilot, Tick
-from fiplib.recording import Event, Measurement
+from fiplib.recording import Event, Measurement, nanoseconds
 
 NEXT = by_mode()
 
@@ -44,6 +45,7 @@ class Guard:
         transitions: every change of it so far.
         notes: remarks that changed no mode: doubtful clocks, refused estimates.
         ended: why the flight has ended, ``None`` before.
+        landed: whether it ended on the ground, below ``safety.floor``.
         accepted: the last frame given to ``frame`` if it was good and in flight: what the pilot saw, and bags hold.
         observed: when the pilot takes it to have arrived, ns; one that comes late counts as of when it was due.
         refused: how many frames were refused, by reason.
@@ -51,11 +53,14 @@ class Guard:
     """
 
     def __init__(self, pilot: Pilot, limits: Limits = Limits()) -> None:  # noqa: B008 - frozen
+        if not isinstance(pilot, Pilot) or not isinstance(limits, Limits):
+            raise ValueError(f"a Guard takes a Pilot and Limits, not {type(pilot).__name__}, {type(limits).__name__}")
         self.params, self.limits, self.pilot = pilot.params, limits, pilot
         self.mode = Mode.DISARMED
         self.transitions: list[Transition] = []
         self.notes: list[Event] = []
         self.ended: str | None = None
+        self.landed = False
         self.accepted: Measurement | None = None
         self.observed = -1
         self.refused: dict[str, int] = {}
@@ -77,6 +82,7 @@ class Guard:
 
     def arm(self, now: int) -> None:
         """Arm: fly as soon as the arm checks pass."""
+        self._at(now)
         self._wanted = True
 
     def frame(self, now: int, measurement: Measurement) -> Setpoint | None:
@@ -85,7 +91,7 @@ class Guard:
         self.accepted = None
         if self.ended is not None:
             return self._between(now)
-        good = self.monitor.take(now, measurement)
+        good = self.monitor.take(now, measurement, self._tilt.shown if self._given_up else None)
         self.notes += [Event(now, "warn", remark) for remark in self.monitor.remarks]
         self.monitor.remarks.clear()
         if good is None:
@@ -98,7 +104,7 @@ class Guard:
             return self._between(now)
         self.accepted = good
         roll, pitch, _ = euler_angles(good.vehicle_attitude)
-        self._tilt.see(good.stamp, (roll, pitch))
+        self._tilt.see(self.monitor.exposed(good.stamp), (roll, pitch))
         self._check_limits(now, good)
         self._check_ages(now)
         if self.ended is not None:
@@ -126,9 +132,12 @@ class Guard:
 
     def solve_took(self, now: int, seconds: float) -> None:
         """Take how long the driver waited for the last setpoint that carries a command; judges whether it was late."""
+        now = self._at(now)
+        if not isinstance(seconds, Real) or not 0.0 <= seconds < math.inf:
+            raise ValueError(f"a solve takes so many seconds, 0 or more, not {seconds!r}")
         late = self.solver.took(seconds)
         if late and self.mode in (Mode.FLYING, Mode.COASTING):
-            now, reason = self._at(now), f"solve took {1e3 * seconds:.0f} ms"
+            reason = f"solve took {1e3 * seconds:.0f} ms"
             if late <= self.limits.safety.coast_ticks:
                 self._happens(now, Condition.SOLVE_FAILED, reason)
             else:
@@ -137,6 +146,8 @@ class Guard:
     def abort(self, now: int, reason: str, disarm: bool = False) -> Setpoint:
         """End the flight: level and descend, or disarm at once; returns what to send."""
         now = self._at(now)
+        if not isinstance(reason, str) or not reason:
+            raise ValueError(f"an abort has a reason, in words, not {reason!r}")
         self._happens(now, Condition.STOPPED if disarm or not self._armed else Condition.ABORTED, reason)
         return self.tick(now)
 
@@ -181,7 +192,10 @@ class Guard:
     def _prepared(self, now: int, good: Measurement) -> bool:
         """Apply the arm checks; returns whether this is the first frame of the flight."""
         speed = float(np.sqrt((self.monitor.velocity**2).sum(1)).max())
-        if not self.arming.passed(now, good, self.lean, self.tilt, speed):
+        steady = self.monitor.trusted
+        if not steady:  # in flight nothing can stand in for the stamps of a clock that has stepped back
+            self.arming.failed("stamps are out of order, or their clock has stepped")
+        if not steady or not self.arming.passed(now, good, self.lean, self.tilt, speed):
             self._happens(now, Condition.CHECKS_FAILED, self.arming.waiting)
             return False
         self._happens(now, Condition.CHECKS_PASSED, "arm checks passed")
@@ -255,7 +269,7 @@ class Guard:
             self.mode, self._entered = row.after, now
         self._given_up = self._given_up or row.final
         if row.final and row.after is Mode.DISARMED:
-            self.ended = reason
+            self.ended, self.landed = reason, condition is Condition.LANDED
             if self.refused:
                 counts = ", ".join(f"{count} {cause}" for cause, count in self.refused.items())
                 self.notes.append(Event(now, "info", f"frames refused in all: {counts}"))
@@ -354,5 +368,5 @@ class Guard:
 
     def _at(self, now: int) -> int:
         """Time never runs backwards here, whatever a clock does."""
-        self._now = max(self._now, int(now))
+        self._now = max(self._now, nanoseconds(now))
         return self._now

@@ -1,6 +1,7 @@
 """Judges estimates of the length before the pilot uses them, and notices a silent estimator."""
 
 import math
+from numbers import Real
 
 from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
@@ -29,6 +30,8 @@ class LengthGate:
         Returns:
             The length to use, m, ``None`` if the estimate is refused; and a remark if it was refused or changed.
         """
+        if not all(isinstance(value, Real) and not isinstance(value, bool) for value in (length, deviation)):
+            return None, f"absurd estimate refused: {type(length).__name__} +- {type(deviation).__name__}"
         estimation, jump, slack = self._estimation, self._safety.estimate_jump, self._estimation.resolution
         if not (estimation.length_min - slack <= length <= estimation.length_max + slack) or deviation < 0.0:
             return None, f"absurd estimate refused: {length:g} m +- {deviation:g} m"

@@ -50,6 +50,9 @@ class Safety:
         1.0 / 120.0, "s", "paper, section 4: 8.33 ms, one control tick; a later solve is late"
     )
     coast_ticks: int = quantity(3, "ticks", "our choice: ticks on the plan's next inputs when a solve is late or fails")
+    late_share: float = quantity(
+        0.02, "1", "our choice: largest share of late ticks in the self-test that a real vehicle is armed after"
+    )
     solver_retry: float = quantity(
         0.25, "s", "our choice: while hovering only, time from one try of the solver to the next"
     )

@@ -91,6 +91,11 @@ class FlightLoop:
         self._stopping = False
         self._frames = self._recorded = self._drawn = 0  # frames received; ns of what was recorded and drawn last
 
+    @property
+    def flown(self) -> bool:
+        """Whether the vehicle was armed."""
+        return self._began is not None
+
     def run(self) -> None:
         """Fly until the guard has ended the flight.
 
@@ -119,6 +124,7 @@ class FlightLoop:
     def step(self) -> None:
         """Take one frame, or let one tick pass without."""
         guard, link = self.guard, self._link
+        guard.arming.doubt = link.doubt()
         came = link.receive(self.clockwork.tick)
         began = link.now()  # in virtual time a solve takes none: the flight is the same every time
         setpoint = guard.frame(*came) if came is not None else guard.tick(link.now())
@@ -185,7 +191,10 @@ class FlightLoop:
         """Put transitions, notes and what happened to the vehicle into the bag, and the former onto the terminal."""
         guard, recorder, events = self.guard, self._recorder, self._link.events
         while events:
-            recorder.event(*events.popleft())
+            event = events.popleft()
+            recorder.event(*event)
+            if event.level != "info":
+                self._say(event.text)
         for entry in guard.transitions[self._seen_transitions :]:
             recorder.event(entry.stamp, entry.level, entry.text, "mode", entry.data)
             self._say(entry.text)

@@ -241,10 +241,12 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise SystemExit  # no ``except Exception`` keeps it
 
 
-def urgent(level: int, thread: int = 0) -> None:
-    """Real-time scheduling at a level from 1, for this or another thread, not inherited; where it is allowed."""
+def urgent(level: int, thread: int = 0) -> bool:
+    """Ask for real-time scheduling at a level from 1, for this or another thread, not inherited; was it allowed?"""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+        return True
+    return False
 
 
 def ignore_the_terminal() -> None:

@@ -82,6 +82,10 @@ class TiltPredictor:
         """Take body rates (3,) in rad/s, commanded from ``now`` ns on."""
         self._rates.append((now, rates[:2]))
 
+    def shown(self, exposed: int) -> tuple[float, float]:
+        """Return roll and pitch in rad that a pose exposed at a time in ns is expected to show; bounded to [-1, 1]."""
+        return self.at(exposed - self._delay)
+
     def at(self, now: int) -> tuple[float, float]:
         """Return roll and pitch in rad, predicted from the commands until ``now`` ns and bounded to [-1, 1]."""
         tilt, end = self._measured, now

@@ -19,6 +19,7 @@ import numpy as np
 from fiplib import bags, ga, kalman, replay
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
+from fiplib.estimators.checks import checked
 from fiplib.kalman import Window
 from fiplib.params import FipError, Params
 from fiplib.recording import TOPICS, Flight
@@ -66,6 +67,11 @@ def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
     return WindowFit(window, params, lengths, fitness, best, found, time.perf_counter() - began)
 
 
+def stated(fit: WindowFit) -> Estimate:
+    """What may be stated of the genetic algorithm's length: refused at an end of the interval, or by its residuals."""
+    return checked(Estimate(fit.found.length, fit.found.standard_deviation), fit.window, fit.params)
+
+
 def compare(
     flight: Flight, window: Window, start: float, end: float, params: Params, seed: int
 ) -> Iterator[tuple[str, Estimate, float]]:
@@ -74,7 +80,7 @@ def compare(
         began = time.perf_counter()
         try:
             data = window if estimator.kind == "states" else replay.raw_window_between(flight, start, end)
-            found = estimator.function(data, params, np.random.default_rng(seed))
+            found = estimator.answer(data, params, np.random.default_rng(seed))
         except (*PROBLEMS, RuntimeError) as error:  # the latter is CasADi's
             found = Estimate(math.nan, math.nan, str(error))
         yield name, found, time.perf_counter() - began
@@ -169,7 +175,7 @@ class Explorer:
             self.answer.value = _problem(error)
             return
         self.refits.append(result)
-        self._add_row("ga", result.found, params, len(self.refits), result.best)
+        self._add_row("ga", stated(result), params, len(self.refits), result.best)
         self._show_refits()
 
     def press_compare(self, *_: object) -> None:
@@ -287,6 +293,9 @@ class Explorer:
             self.answer.value = _box(f"This flight cannot be refitted. {html.escape(why)}" if why else "No refit yet.")
             return
         last = self.refits[-1]
+        if reason := stated(last).reason:
+            self.answer.value = _problem(f"No length: {reason}")
+            return
         sigma = last.found.standard_deviation
         interval = f" ± {2 * sigma:.3f} m (2σ)" if math.isfinite(sigma) else " m (this reading gives no interval)"
         self.answer.value = _box(

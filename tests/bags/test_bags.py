@@ -854,7 +854,7 @@ def test_an_optional_topic_without_messages_counts_as_absent(tmp_path: Path, rol
 
 def test_a_missing_path_and_a_path_that_is_no_bag_say_so(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not a bag")
-    for path, words in (("gone", "no such file"), ("notes.txt", "not a bag"), (".", "not a bag: neither metadata")):
+    for path, words in (("gone", "no such file"), ("notes.txt", "not a bag"), (".", r"not a bag: no \.mcap")):
         with pytest.raises(BagError, match=words):
             read(tmp_path / path)
 
@@ -867,12 +867,27 @@ def test_without_metadata_yaml_the_copy_inside_the_mcap_speaks(bag: Path, tmp_pa
     assert same(whole, read(mcap(broken) if bare else broken))
 
 
-def test_two_mcap_files_without_metadata_are_not_guessed_at(bag: Path, tmp_path: Path) -> None:
+def test_without_metadata_a_stray_file_is_left_alone_or_the_choice_is_the_users(bag: Path, tmp_path: Path) -> None:
     broken = copy(bag, tmp_path)
     (broken / "metadata.yaml").unlink()
     shutil.copy(mcap(broken), broken / "other.mcap")
-    with pytest.raises(BagError, match="there are 2"):
-        read(broken)
+    assert same(read(bag), read(broken))  # the folder has the name of one of them
+    renamed = broken.rename(tmp_path / "today")
+    with pytest.raises(BagError, match=r"2 recordings \(flight, other\).*give one of the files"):
+        read(renamed)
+
+
+def test_a_file_that_is_gone_is_named(bag: Path, tmp_path: Path) -> None:
+    path = split(tmp_path / "lab", bag)
+    with Writer(tmp_path / "named", version=9, storage_plugin=StoragePlugin.MCAP):
+        pass
+    text = (tmp_path / "named" / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(text.replace("- named.mcap", "- lab_0.mcap\n  - lab_1.mcap"))
+    (path / "lab_1.mcap").unlink()
+    with pytest.raises(BagError, match=r"lab_1\.mcap of its files is not there.*fip bag recover"):
+        read(path)
+    recovery = recover(path)
+    assert recovery.missing == ("lab_1.mcap",) and "lab_1.mcap" in recovery.describe() and not recovery.undamaged
 
 
 def test_edited_metadata_are_refused(bag: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from fiplib.bags import live
+from fiplib.bags import live, writer
 from fiplib.bags.live import LiveRecorder
 from fiplib.bags.messages import SIDECAR
 from fiplib.bags.reader import read
@@ -193,7 +193,7 @@ def test_a_flight_goes_on_when_its_recording_is_killed(script: Script) -> None:
 
 def test_a_file_that_cannot_grow_stops_the_recording_and_not_the_flight(tmp_path: Path) -> None:
     """A limit on the size of files stands for a quota: the reserve cannot help, the bag stays unfinished."""
-    running = Script(tmp_path, live.RESERVE + 1000)
+    running = Script(tmp_path, writer.RESERVE + 1000)
     said = running.process.stdout.readline()
     assert said.startswith(f"{tmp_path / 'flight'}: recording stopped: File too large")
     (tmp_path / "land").touch()
@@ -204,8 +204,8 @@ def test_a_file_that_cannot_grow_stops_the_recording_and_not_the_flight(tmp_path
     assert not recovery.gaps  # the file ends with its last whole chunk: nothing in it is damaged
     kept, handed = recorded(recovery.output), running.handed()
     assert kept and set(kept) <= set(handed)
-    assert [one for one in handed if one[1] <= max(time for _, time in kept) - live._HOLD] == [
-        one for one in handed if one in set(kept) and one[1] <= max(time for _, time in kept) - live._HOLD
+    assert [one for one in handed if one[1] <= max(time for _, time in kept) - writer.HOLD] == [
+        one for one in handed if one in set(kept) and one[1] <= max(time for _, time in kept) - writer.HOLD
     ]
 
 
@@ -214,7 +214,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk that has room for the reserve and 1 MB."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    size = f"size={live.RESERVE + (1 << 20)}"
+    size = f"size={writer.RESERVE + (1 << 20)}"
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", size, "fip", str(disk)], capture_output=True, text=True)
     if mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")

@@ -16,7 +16,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 
 from fiplib import recording
 from fiplib.bags import live, writer
@@ -107,7 +107,7 @@ def test_a_file_cut_or_zeroed_anywhere_gives_all_that_came_before(bag: Path, par
         left = before_the_damage(data, Path(folder))
         assert left == whole[: len(left)]
         if not left:
-            with pytest.raises(BagError, match="nothing to recover"):
+            with pytest.raises(BagError, match="nothing to recover" if data else "an empty file"):
                 recover(source)
             assert not (Path(folder) / "flight-recovered").exists()
             return
@@ -197,7 +197,8 @@ def test_the_report_says_what_was_lost_and_when(bag: Path, tmp_path: Path) -> No
 
 
 def test_an_ordinary_bag_whose_first_chunk_is_damaged_finds_its_topics_in_the_index(tmp_path: Path) -> None:
-    source = write(tmp_path / "flight", Numbers(frames=3000))  # 14 000 messages: several chunks of 1 MiB
+    # as the library writes it: 14 000 messages in several chunks of 1 MiB, of which the first alone names the topics
+    source = recover(write(tmp_path / "written", Numbers(frames=3000)), tmp_path / "flight").output
     content = bytearray(mcap(source).read_bytes())
     content[5000] ^= 0xFF
     mcap(source).write_bytes(content)
@@ -326,8 +327,8 @@ def test_a_bag_in_several_files_becomes_one(tmp_path: Path) -> None:
     late = foreign(tmp_path / "late", late)
     both = tmp_path / "both"
     both.mkdir()
-    (both / "b.mcap").write_bytes(mcap(early).read_bytes())
-    (both / "a.mcap").write_bytes(mcap(late).read_bytes()[:-50])
+    (both / "lab_0.mcap").write_bytes(mcap(early).read_bytes())
+    (both / "lab_1.mcap").write_bytes(mcap(late).read_bytes()[:-50])
     recovery = recover(both)
     assert [(topic.topic, topic.count) for topic in recovery.saved] == [
         ("/mocap/pendulum/pose", 5),
@@ -347,9 +348,9 @@ def test_what_is_no_recording_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "notes.mcap").write_text("not a bag either\n" * 1000)
     (tmp_path / "header.mcap").write_bytes(b"\x89MCAP0\r\n")
     for name, words in (
-        ("notes.txt", "no MCAP recording"),
-        ("notes.mcap", "no MCAP recording"),
-        ("empty.mcap", "no MCAP recording"),
+        ("notes.txt", "a text file, not a bag"),
+        ("notes.mcap", "a text file, not a bag"),
+        ("empty.mcap", "an empty file"),
         ("header.mcap", "no complete message"),
         ("gone", "no such file"),
     ):
@@ -357,7 +358,7 @@ def test_what_is_no_recording_is_one_clear_error(tmp_path: Path) -> None:
             recover(tmp_path / name)
         assert str(tmp_path / name) in str(caught.value) and "\n" not in str(caught.value)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(BagError, match=r"no \.mcap file"):
+    with pytest.raises(BagError, match=r"no \.mcap and no \.db3 file"):
         recover(tmp_path / "folder")
     assert not list(tmp_path.glob("*-recovered"))
 
@@ -398,3 +399,134 @@ def test_a_disk_that_is_full_while_recovering_leaves_no_half_bag(bag: Path, tmp_
     said = done.stderr.splitlines()[-1]
     assert said.startswith("fiplib.recording.BagError: ") and "File too large" in said
     assert not (tmp_path / "new").exists()
+
+
+# --- what is no damage, and damage of other kinds ----------------------------------------------------------------
+
+
+def test_a_chunk_that_is_there_twice_is_saved_once(bag: Path, tmp_path: Path) -> None:
+    content = mcap(bag).read_bytes()
+    with mcap(bag).open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[5]
+    end = chunk.chunk_start_offset + chunk.chunk_length
+    source = damaged(tmp_path, content[:end] + content[chunk.chunk_start_offset : end] + content[end:])
+    recovery = recover(source)
+    assert messages(recovery.output) == messages(bag)
+    assert recovery.repeated == 64 and "64 messages that were there twice" in recovery.describe()
+    assert not recovery.undamaged
+
+
+def test_a_copy_of_a_file_beside_it_is_not_of_the_recording(bag: Path, tmp_path: Path) -> None:
+    source = copy(bag, tmp_path)
+    for name in ("flight (copy).mcap", "other_0.mcap"):
+        (source / name).write_bytes(mcap(source).read_bytes())
+    assert messages(recover(source).output) == messages(bag)
+    (source / "metadata.yaml").unlink()
+    assert messages(recover(source, tmp_path / "again").output) == messages(bag)
+
+
+def test_messages_compressed_one_by_one_come_back_but_the_damaged_ones(tmp_path: Path) -> None:
+    sent = poses("/mocap/quad/pose", count=200)
+    source = foreign(tmp_path / "lab", sent, compression=CompressionMode.MESSAGE)
+    content = bytearray(mcap(source).read_bytes())
+    at = content.index(layouts.ZSTD, len(content) // 3)
+    content[at + 5] ^= 0xFF  # the chunk around it carries no checksum
+    mcap(source).write_bytes(content)
+    recovery = recover(source)
+    assert {data for _, _, data in messages(recovery.output)} <= {data for *_, data in sent}
+    assert sum(topic.count for topic in recovery.saved) == 199 and recovery.unreadable == 1
+    assert "1 messages that were compressed one by one and are damaged" in recovery.describe()
+
+
+def test_a_file_compressed_as_a_whole_and_cut_gives_what_came_before(tmp_path: Path) -> None:
+    source = foreign(tmp_path / "lab", poses("/mocap/quad/pose", count=20000), compression=CompressionMode.FILE)
+    [file] = source.glob("*.mcap.zstd")
+    file.write_bytes(file.read_bytes()[:-1000])
+    (source / "metadata.yaml").unlink()
+    recovery = recover(source)
+    assert 5000 < recovery.saved[0].count < 20000 and not recovery.finished
+
+
+def other_profile(path: Path, profile: str, encoding: str, message: str = "json") -> Path:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile=profile, library="theirs")
+        channel = writer.register_channel("/pose", message, writer.register_schema("Pose", encoding, b"{}"))
+        for i in range(3):
+            writer.add_message(channel, i, b"{}", i)
+        writer.finish()
+    return path
+
+
+def test_damaged_is_said_of_what_is_damaged_alone(bag: Path, tmp_path: Path) -> None:
+    """Sound files of other kinds are named for what they are, by info and by recover."""
+    (tmp_path / "lab.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    (tmp_path / "state.json").write_text('{"length": 1.0}')
+    (tmp_path / "table.mcap").write_text("time,x,y\n0,1,2\n")
+    (tmp_path / "log.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(100))
+    other_profile(tmp_path / "foxglove.mcap", "", "jsonschema")
+    other_profile(tmp_path / "ros1.mcap", "ros1", "ros1msg", "ros1")
+    database = foreign(tmp_path / "database", poses("/quad"), StoragePlugin.SQLITE3)
+    for path, read_says, recover_says in (
+        ("lab.bag", "a bag of ROS 1; convert it", "a bag of ROS 1; convert it"),
+        ("state.json", "a JSON file, not a bag", "a JSON file, not a bag"),
+        ("table.mcap", "a text file, not a bag", "a text file, not a bag"),
+        ("log.ulg", r"a PX4 log \(ULog\), not a bag", r"a PX4 log \(ULog\), not a bag"),
+        ("foxglove.mcap", "an MCAP file of no profile, not of ROS 2", "its messages are json, not ROS 2"),
+        ("ros1.mcap", "an MCAP file of the profile 'ros1', not of ROS 2", "its messages are ros1, not ROS 2"),
+        (database.name, "no topic", "a sqlite3 bag, and recover mends MCAP alone.*fip bag info"),
+    ):
+        for task, words in ((read, read_says), (recover, recover_says)):
+            with pytest.raises(BagError, match=words) as caught:
+                task(tmp_path / path)
+            said = str(caught.value).replace(str(tmp_path), "")
+            assert "damaged" not in said and "\n" not in said, (path, task)
+    assert not list(tmp_path.glob("*-recovered"))
+
+
+def test_ros_2_topics_beside_others_are_saved_and_the_others_named(tmp_path: Path) -> None:
+    definition, _ = layouts.typestore().generate_msgdef(recording.POSE, ros_version=2)
+    layout = layouts.Layout.of(recording.POSE, "world")
+    source = tmp_path / "mixed.mcap"
+    with source.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="ros2", library="theirs")
+        quad = writer.register_channel(
+            "/q", "cdr", writer.register_schema(recording.POSE, "ros2msg", definition.encode())
+        )
+        note = writer.register_channel("/note", "json", writer.register_schema("Note", "jsonschema", b"{}"))
+        for i in range(10):
+            writer.add_message(quad, i, layout.encode(i, (0, 0, 1, 0, 0, 0, 1)), i)
+            writer.add_message(note, i, b"{}", i)
+        writer.finish()
+    with pytest.raises(BagError, match=r"some of its topics are no ROS 2 messages \(jsonschema\).*fip bag recover"):
+        read(source)
+    recovery = recover(source)
+    assert recovery.nameless == 10 and [tuple(topic[::2]) for topic in recovery.saved] == [("/q", 10)]
+
+
+def test_a_users_mistake_is_one_line_and_overwrites_nothing(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken.png").write_text("mine")
+    for arguments in (
+        ("cut", bag, "--output", tmp_path / "taken"),
+        ("cut", bag, "--from", "nan"),
+        ("cut", bag, "--to", "inf"),
+        ("cut", tmp_path / "gone"),
+        ("recover", bag, "--output", tmp_path / "taken"),
+        ("recover", tmp_path / "taken"),
+        ("export", bag, "--to", tmp_path / "taken.png"),
+        ("length", bag, "--plot", tmp_path / "taken.png"),
+        ("length", bag, "--plot", tmp_path / "new.gif"),
+        ("length", bag, "--plot", tmp_path / "nowhere" / "new.png"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "fiplib", "bag", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).parents[2],
+        )
+        assert done.returncode == 2 and done.stdout == "", arguments
+        assert done.stderr.startswith("fip: ") and done.stderr.count("\n") == 1, (arguments, done.stderr)
+    assert (tmp_path / "taken.png").read_text() == "mine" and not list((tmp_path / "taken").iterdir())
+    assert {path.name for path in tmp_path.iterdir()} == {"taken", "taken.png"}

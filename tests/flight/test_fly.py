@@ -6,6 +6,7 @@ import platform
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,6 @@ import pytest
 
 from fiplib import bags, recording, replay
 from fiplib.flight.limits import Limits
-from fiplib.flight.links import LinkError
-from fiplib.flight.session import NewBag
 from fiplib.reproduction import measures
 from fiplib.simulate import SCENARIOS
 
@@ -81,21 +80,54 @@ def test_nothing_recorded_is_overwritten_unless_asked_and_then_only_a_bag(tmp_pa
     assert (folder / "thesis.txt").read_text() == "years of work"
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+REFUSALS = {
+    "no such port": ("--link", "crsf", "--crsf-port", "/dev/absent", "--poses", "sim", "--arm"),
+    "no ROS 2": ("--link", "ros2", "--ros2-origin", "simulated"),
+    "no origin": ("--link", "ros2"),
+    "no terminal": ("--link", "crsf", "--crsf-port", "/dev/absent", "--poses", "sim"),
+    "no such parameter": ("--set", "pendulum.lenght=1"),
+    "a parameter out of range": ("--set", "pendulum.length=-1"),
+    "no such estimator": ("--set", "estimation.estimator=crystal_ball"),
+    "no duration": ("--duration", "0"),
+    "limits without failsafe": ("--set", "safety.pose_level=0.2"),
+}
+
+
 def test_a_flight_that_does_not_begin_leaves_the_bag_that_it_was_to_replace(tmp_path):
     bag = tmp_path / "bag"
     assert fly("--scenario", "push-hover", "--duration", 1, "--output", bag).returncode == 0
-    before = (bag / "bag.mcap").read_bytes()
-    # the scenario is not fit to be recorded behind the failsafe: no such port
-    port = ("--link", "crsf", "--crsf-port", tmp_path / "absent", "--poses", "sim", "--arm")
-    assert fly("--scenario", "push-hover", *port, "--output", bag, "--force").returncode == 2
-    with pytest.raises(LinkError, match="not today"), NewBag(bag, force=True):
-        bag.mkdir()
-        (bag / "bag.mcap").write_text("begun")
-        raise LinkError("not today")
-    assert (bag / "bag.mcap").read_bytes() == before
+    before = contents(tmp_path)
+    for name, options in REFUSALS.items():
+        answer = fly("--scenario", "push-hover", *options, "--output", bag, "--force")
+        assert answer.returncode == 2 and answer.stderr.count("fip: ") == 1, name
+        assert contents(tmp_path) == before, name
     assert fly("--scenario", "push-hover", "--duration", 2, "--output", bag, "--force").returncode == 0
-    assert (bag / "bag.mcap").read_bytes() != before
-    assert [entry.name for entry in tmp_path.iterdir()] == ["bag"]
+    assert (bag / "bag.mcap").read_bytes() != before["bag/bag.mcap"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["bag"] and bags.read(bag).duration > 1.9
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_the_old_bag_stays_until_the_new_one_is_whole(tmp_path, number, status):
+    bag = tmp_path / "bag"
+    assert fly("--scenario", "push-hover", "--duration", 1, "--output", bag).returncode == 0
+    before = contents(bag)
+    process = started("--scenario", "estimate-1.4", "--output", bag, "--force")
+    while not list(tmp_path.glob("bag.new-*/bag/*.mcap")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(0.3)
+    process.send_signal(number)
+    out, said = process.communicate(timeout=60)
+    assert process.returncode == status and "Traceback" not in said
+    assert contents(bag) == before
+    [beside] = tmp_path.glob("bag.new-*/bag")
+    if number != signal.SIGKILL:
+        assert f"{bag} stays as it was; what was recorded of this flight is in {beside}" in out
+        assert any(event.text.startswith("recording ended by") for event in bags.read(beside).events)
 
 
 # --- behind the failsafe

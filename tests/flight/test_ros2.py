@@ -26,6 +26,7 @@ import venv
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,110 @@ def test_damaged_poses_and_repeated_stamps_reach_the_failsafe_as_they_are():
         assert (frame.pendulum_position == POSE[:3]).all()
 
 
+# --- publishers and frames
+
+
+def test_of_several_publishers_the_first_one_heard_is_followed_until_it_has_ended():
+    publisher = ros2.Publisher()
+    assert [publisher.takes(gid) for gid in (b"one", b"two", b"one", b"two", b"two")] == [
+        True,
+        False,
+        True,
+        False,
+        False,
+    ]
+    assert publisher.foreign == 3
+    publisher.look([b"one", b"two"])
+    assert not publisher.takes(b"two") and publisher.takes(b"one")
+    publisher.look([b"two"])  # the first has ended: a driver that was started again
+    assert publisher.takes(b"two") and not publisher.takes(b"one")
+    publisher.look([])  # nobody at all is known: discovery has lost sight of them, perhaps
+    assert publisher.followed == b"two"
+
+
+def test_where_the_middleware_does_not_say_who_publishes_every_message_is_taken():
+    publisher = ros2.Publisher()
+    assert all(publisher.takes(None) for _ in range(3)) and publisher.followed is None
+    publisher.look([b"one", b"two"])
+    assert publisher.takes(None)
+
+
+class Graph:
+    """A ROS node that knows who publishes what; in place of rclpy's, which is not here."""
+
+    def __init__(self) -> None:
+        self.publishing: dict[str, list[tuple[str, bytes]]] = {}
+
+    def count_publishers(self, topic: str) -> int:
+        return len(self.publishing.get(topic, ()))
+
+    def get_publishers_info_by_topic(self, topic: str) -> list[SimpleNamespace]:
+        return [SimpleNamespace(node_name=name, endpoint_gid=list(gid)) for name, gid in self.publishing.get(topic, ())]
+
+
+class Heard(ros2.Ros2Poses):
+    """The poses of two topics, message by message, at a time that the test sets."""
+
+    def __init__(self, frame: str = "world") -> None:
+        super().__init__(("/mocap/quad/pose", "/mocap/pendulum/pose"), 2e-3, "real", 1.0, frame)
+        self.graph, self.time = Graph(), 0
+        self.node = SimpleNamespace(node=self.graph)  # type: ignore[assignment]
+        self.takers = [self.taking(body) for body in (0, 1)]
+
+    def now(self) -> int:
+        return self.time
+
+    def hear(self, frame: int, gid: bytes | None = b"driver", frame_id: str = "world", x: float = 0.0) -> int:
+        """Both poses of a frame; how many frames they completed."""
+        before = len(self.frames)
+        stamp = SimpleNamespace(sec=0, nanosec=frame * FRAME)
+        position, attitude = SimpleNamespace(x=x, y=0.0, z=1.3), SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+        for take in self.takers:
+            header = SimpleNamespace(stamp=stamp, frame_id=frame_id)
+            info = {"publisher_gid": None if gid is None else {"data": gid}}
+            take(SimpleNamespace(header=header, pose=SimpleNamespace(position=position, orientation=attitude)), info)
+        return len(self.frames) - before
+
+    def look(self) -> str | None:
+        self.time += 2 * ros2.LOOK
+        return self.doubt()
+
+
+def test_a_second_publisher_keeps_the_vehicle_disarmed_and_its_poses_are_left_out_in_flight():
+    poses = Heard()
+    poses.graph.publishing = {topic: [("driver", b"driver")] for topic in poses.topics}
+    assert poses.hear(1) == 1 and poses.look() is None
+    poses.graph.publishing["/mocap/quad/pose"].append(("rosbag2_player", b"old bag"))
+    assert poses.look() == "2 publishers on /mocap/quad/pose (driver, rosbag2_player): stop all but one"
+    assert [poses.hear(frame, gid, x=9.0) for frame, gid in ((2, b"old bag"), (3, b"driver"))] == [0, 1]
+    assert [event.text for event in poses.events] == [
+        "2 publishers on /mocap/quad/pose (driver, rosbag2_player): the first one heard is followed"
+    ]
+    poses.graph.publishing["/mocap/quad/pose"].pop(0)  # the driver has ended: who is left is taken, and said
+    assert poses.look() is None
+    assert poses.hear(4, b"old bag") == 0  # the other body's topic is still the driver's
+    assert poses.events[-1].text == "/mocap/quad/pose is published by another node than before"
+
+
+def test_without_gids_two_publishers_are_counted_all_the_same():
+    poses = Heard()
+    poses.graph.publishing = {topic: [("a", b"1"), ("b", b"2")] for topic in poses.topics}
+    assert poses.hear(1, gid=None) == 1
+    assert poses.look() == (
+        "2 publishers on /mocap/quad/pose (a, b) and 2 publishers on /mocap/pendulum/pose (a, b): stop all but one"
+    )
+
+
+def test_poses_in_another_frame_are_none_and_keep_the_vehicle_disarmed():
+    poses = Heard()
+    poses.graph.publishing = {topic: [("driver", b"driver")] for topic in poses.topics}
+    assert poses.hear(1, frame_id="map") == 0
+    assert poses.look() == ("poses on /mocap/pendulum/pose are given in the frame 'map', not 'world' (--ros2-frame)")
+    assert poses.hear(2) == 1 and poses.look() is None
+    other = Heard(frame="map")
+    assert other.hear(1, frame_id="map") == 1 and other.hear(2) == 0
+
+
 # --- options and messages
 
 
@@ -122,7 +227,7 @@ def options(*arguments: str) -> argparse.Namespace:
 )
 def test_topics_are_named_by_the_driver_or_in_full(arguments, topics):
     link = ros2.Ros2Link.from_options(options("--ros2-origin", "real", *arguments), SCENARIO, Limits())
-    assert link.poses.topics == topics and link.origin == "real"
+    assert link.poses.topics == topics and link.origin == "real" and link.poses.frame == "world"
 
 
 @pytest.mark.parametrize(
@@ -386,7 +491,7 @@ QUICK = ("--set", "piloting.estimate=False", "--ros2-wait", 30, "--ros2-origin")
 @pytest.mark.realtime
 def test_a_real_vehicle_is_not_taken_for_a_simulated_one_and_no_topic_for_another(python, surroundings, tmp_path):
     with vehicle(python, surroundings):
-        real = fly(python, surroundings, *QUICK, "real", "--arm", "--output", tmp_path / "real")
+        real = fly(python, surroundings, *QUICK, "real", "--arm", "--ignore-self-test", "--output", tmp_path / "real")
         assert real.returncode == 2 and "/truth/state is published, as by simulators" in real.stderr
         lost = fly(
             python, surroundings, *QUICK, "simulated", "--ros2-mocap", "natnet", "--ros2-wait", 3,
@@ -418,6 +523,83 @@ def test_whoever_is_killed_in_flight_the_commands_end_disarmed(python, surroundi
         time.sleep(Limits().safety.leave_time + 1.0)
     assert told["commands"] > 100 and told["refused"] == 0
     assert told["stopped"] is not None and told["disarms"] >= 30  # 0.6 s at 120 Hz; a busy machine drops some
+
+
+SECOND = """
+import time
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+rclpy.init(args=[])
+node = rclpy.create_node("rosbag2_player")
+qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+topics = (("/mocap/quad/pose", 1.3), ("/mocap/pendulum/pose", 1.88))
+bodies = [(node.create_publisher(PoseStamped, topic, qos), z) for topic, z in topics]
+print("publishing", flush=True)
+while True:  # a vehicle that hovers two metres away, with fresh stamps
+    now = time.time_ns()
+    for publisher, z in bodies:
+        message = PoseStamped()
+        message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec = "world", *divmod(now, 10**9)
+        message.pose.position.x, message.pose.position.z, message.pose.orientation.w = 2.0 + 1e-4 * (now % 7), z, 1.0
+        publisher.publish(message)
+    time.sleep(1 / 240)
+"""
+
+
+@contextmanager
+def second_publisher(python: str, surroundings: dict[str, str]) -> Iterator[subprocess.Popen]:
+    """Somebody else who publishes poses."""
+    process = subprocess.Popen(
+        [python, "-c", SECOND], stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, env=surroundings
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.ros2
+@pytest.mark.realtime
+def test_with_a_second_publisher_nobody_is_armed(python, surroundings, tmp_path):
+    with vehicle(python, surroundings) as told, second_publisher(python, surroundings) as second:
+        assert second.stdout is not None and second.stdout.readline() == "publishing\n"
+        process = subprocess.Popen(
+            command(python, *QUICK, "simulated", "--output", tmp_path / "bag"),
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=surroundings,
+        )  # fmt: skip
+        try:
+            assert process.stderr is not None
+            assert any("2 publishers on /mocap/quad/pose" in line for line in process.stderr)
+            time.sleep(3.0)
+        finally:
+            process.terminate()
+            said = process.communicate(timeout=60)[1]
+        assert process.returncode == 130 and "ready -> flying" not in said
+    assert told["flown"] is None
+
+
+@pytest.mark.ros2
+@pytest.mark.realtime
+def test_in_flight_a_second_publisher_does_not_take_the_rod(python, surroundings, tmp_path):
+    def flight_of_8_s(bag: Path) -> None:
+        with vehicle(python, surroundings) as told:
+            process = subprocess.Popen(
+                command(python, *QUICK, "simulated", "--duration", 8, "--output", bag),
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings,
+            )  # fmt: skip
+            assert process.stderr is not None
+            assert any("ready -> flying" in line for line in process.stderr)
+            with second_publisher(python, surroundings):
+                out, said = process.communicate(timeout=120)
+        made = subprocess.CompletedProcess(process.args, process.returncode, out, said)
+        flight = assert_balanced(made, told, bag, 8.0)
+        assert any("the first one heard is followed" in event.text for event in flight.events)
+        assert np.abs(flight.vehicle.position[:, 0]).max() < 1.5  # none of the other's poses, at 2 m
+
+    in_real_time(flight_of_8_s, tmp_path)
 
 
 def sender_of(pilot: int) -> int:

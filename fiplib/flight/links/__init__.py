@@ -35,7 +35,7 @@ class PoseSource(Protocol):
     """The true state (11,) as ``ROLES["truth_state"]`` at the newest frame; ``None`` where it is not known."""
 
     events: deque[Event]
-    """Pushes of a simulated vehicle, for the recorder; the reader takes them away."""
+    """What happened to poses and vehicle (pushes of a simulated one), for the recorder; the reader takes them away."""
 
     pids: Mapping[str, int] = MappingProxyType({})
     """The ids of the processes that belong to it, by name; empty before it is entered."""
@@ -63,6 +63,10 @@ class PoseSource(Protocol):
 
     def fault(self) -> str | None:
         """Return why the vehicle cannot be flown any more (a process has died ...); ``None`` while it can."""
+        return None
+
+    def doubt(self) -> str | None:
+        """Return why the vehicle may not be armed although frames arrive; ``None`` where nothing speaks against it."""
         return None
 
 
@@ -136,6 +140,9 @@ class RelayLink(Link):
 
     def fault(self) -> str | None:
         return self._sender.fault() or self.poses.fault()
+
+    def doubt(self) -> str | None:
+        return self.poses.doubt()
 
 
 def available() -> dict[str, type[Link]]:

@@ -16,7 +16,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Self
 
@@ -43,6 +43,10 @@ PRESETS = {
 BODIES = ("vehicle", "pendulum")
 COMMANDS = {"attitude": ("mavros_msgs.msg", "AttitudeTarget"), "twist": ("geometry_msgs.msg", "TwistStamped")}
 """Module and class of each kind of command message."""
+LOOK = NANO // 4
+"""The publishers of the poses are counted that often, ns."""
+OURS = ("fip_pilot", "fip_sender")
+"""The nodes that may publish commands: those of this flight."""
 UNPAIRED = 16
 """Poses of one body that wait for the other's, at most."""
 
@@ -148,21 +152,60 @@ class Node:
             self._rclpy.shutdown(context=self._context)
 
 
+class Publisher:
+    """Follows one publisher of a topic, whatever else is published there. Pure.
+
+    Attributes:
+        followed: the GID of the one whose messages are taken; ``None`` before the first, and where the middleware does
+            not say it.
+        foreign: how many messages of others were left out.
+    """
+
+    def __init__(self) -> None:
+        self.followed: bytes | None = None
+        self.foreign = 0
+
+    def takes(self, gid: bytes | None) -> bool:
+        """Return whether a message of this publisher is to be taken: those of the first that was heard are."""
+        if self.followed is None:
+            self.followed = gid
+        if gid == self.followed:
+            return True
+        self.foreign += 1
+        return False
+
+    def look(self, gids: Sequence[bytes]) -> None:
+        """Take the GIDs of all that publish now: one that has ended may be followed by another."""
+        if self.followed is not None and gids and self.followed not in gids:
+            self.followed = None
+
+
 class Ros2Poses(PoseSource):
     """Frames from two PoseStamped topics; a context manager. No thread: topics are read within ``receive``.
+
+    Of each topic one publisher is followed, the first that is heard. While there is a second one the vehicle is not
+    armed; in flight its poses are left out. Poses in another frame than ``frame`` are none.
 
     Args:
         topics: of vehicle and pendulum.
         tolerance: largest difference of stamps within one frame, s.
         origin: "simulated" or "real", as the operator says.
         patience: longest wait for the first frame, s.
+        frame: the ``frame_id`` that poses must carry.
+
+    Attributes:
+        frames: those that have come and were not yet received, with their arrivals.
     """
 
-    def __init__(self, topics: tuple[str, str], tolerance: float, origin: str, patience: float) -> None:
-        self.topics, self.origin, self._patience = topics, origin, patience
+    def __init__(
+        self, topics: tuple[str, str], tolerance: float, origin: str, patience: float, frame: str = "world"
+    ) -> None:
+        self.topics, self.origin, self._patience, self.frame = topics, origin, patience, frame
+        self._publishers, self._elsewhere = (Publisher(), Publisher()), ""
+        self._looked, self._said = 0, ""
         self.events: deque[Event] = deque()
         self._pairing = Pairing(round(tolerance * NANO))
-        self._frames: deque[tuple[int, Measurement]] = deque()
+        self.frames: deque[tuple[int, Measurement]] = deque()
         self._counts, self._paired = [0, 0], False
         self._offset = time.time_ns() - time.monotonic_ns()
         self._fault: str | None = None
@@ -181,6 +224,8 @@ class Ros2Poses(PoseSource):
             add(f"--ros2-{body}-topic", metavar="TOPIC", help=f"the {body}'s topic in full, instead of a driver's")
         pairing = "stamps of vehicle and pendulum that differ by less belong to one frame (default: %(default)g ms)"
         add("--ros2-pairing", type=float, default=2.0, metavar="MS", help=pairing)
+        frame = "frame_id that poses must carry; z up in it (default: %(default)s)"
+        add("--ros2-frame", default="world", metavar="FRAME", help=frame)
         patience = "how long to wait for poses and for a vehicle that listens (default: %(default)g s)"
         add("--ros2-wait", type=float, default=10.0, metavar="S", help=patience)
 
@@ -202,14 +247,16 @@ class Ros2Poses(PoseSource):
         pendulum = options.ros2_pendulum_topic or preset.format(options.ros2_pendulum)
         if vehicle == pendulum:
             raise ValueError(f"vehicle and pendulum cannot share the topic {vehicle}")
-        return cls((vehicle, pendulum), options.ros2_pairing / 1e3, options.ros2_origin, options.ros2_wait)
+        tolerance, patience = options.ros2_pairing / 1e3, options.ros2_wait
+        return cls((vehicle, pendulum), tolerance, options.ros2_origin, patience, options.ros2_frame)
 
     def __enter__(self) -> Self:
         self.node = Node("fip_pilot")
         try:
             qos, kind = self.node.qos.qos_profile_sensor_data, self.node.geometry.PoseStamped
             for body, topic in enumerate(self.topics):
-                self.node.node.create_subscription(kind, topic, functools.partial(self._take, body), qos)
+                take = self.taking(body)
+                self.node.node.create_subscription(kind, topic, take, qos)
         except Exception as error:  # rclpy's: a topic's name may be no name
             self.node.close()
             raise LinkError(f"--link ros2: cannot subscribe to {' and '.join(self.topics)} ({error})") from error
@@ -220,7 +267,10 @@ class Ros2Poses(PoseSource):
         self.node.close()
 
     def wait(self, listeners: str | None = None) -> None:
-        """Return when frames come and somebody subscribes to the topic ``listeners``. Raises LinkError."""
+        """Return when frames come and somebody subscribes to the topic ``listeners``. Raises LinkError.
+
+        Nobody else may publish on ``listeners``: the vehicle obeys whoever does.
+        """
         end, heard = time.monotonic() + self._patience, False
         while time.monotonic() < end:
             heard = listeners is None or self.node.node.count_subscribers(listeners) > 0
@@ -233,12 +283,15 @@ class Ros2Poses(PoseSource):
                 f"--link ros2: --ros2-origin real, but {clues[0]} is published, as by simulators: say 'simulated'"
             )
 
+        if listeners and (others := [name for name, _ in self._publishing(listeners) if name not in OURS]):
+            raise LinkError(f"--link ros2: {' and '.join(others)} publishes on {listeners}, too: stop it first")
+
     def now(self) -> int:
         return time.monotonic_ns() + self._offset
 
     def receive(self, timeout: float) -> tuple[int, Measurement] | None:
         end, left = time.monotonic() + timeout, max(0.0, timeout)
-        while not self._frames and left >= 0.0:
+        while not self.frames and left >= 0.0:
             try:
                 self.node.executor.spin_once(timeout_sec=left)
             except Exception as error:  # whatever rclpy raises
@@ -246,20 +299,67 @@ class Ros2Poses(PoseSource):
                 time.sleep(left)
                 return None
             left = end - time.monotonic()
-        return self._frames.popleft() if self._frames else None
+        return self.frames.popleft() if self.frames else None
 
     def fault(self) -> str | None:
         return self._fault
 
+    def doubt(self) -> str | None:
+        if (now := self.now()) - self._looked > LOOK:
+            self._looked = now
+            with suppress(Exception):  # whatever rclpy raises: it is seen where poses are read
+                self._said = self._crowd(now)
+        return self._said or self._elsewhere or None
+
+    def _crowd(self, now: int) -> str:
+        """Count the publishers of each topic; return who they are where there is more than one, else ""."""
+        words = []
+        for topic, publisher in zip(self.topics, self._publishers, strict=True):
+            followed = publisher.followed
+            if followed is not None or self.node.node.count_publishers(topic) > 1:
+                publishing = self._publishing(topic)
+                publisher.look([gid for _, gid in publishing])
+                if len(publishing) > 1:
+                    names = ", ".join(sorted(name for name, _ in publishing))
+                    words.append(f"{len(publishing)} publishers on {topic} ({names})")
+            if followed != publisher.followed:
+                self.events.append(Event(now, "warn", f"{topic} is published by another node than before"))
+        crowd = f"{' and '.join(words)}: stop all but one" if words else ""
+        if crowd and not self._said:
+            self.events.append(Event(now, "warn", f"{' and '.join(words)}: the first one heard is followed"))
+        return crowd
+
+    def _publishing(self, topic: str) -> list[tuple[str, bytes]]:
+        """(node's name, GID) of all that publish on a topic."""
+        return [
+            (info.node_name, bytes(info.endpoint_gid)) for info in self.node.node.get_publishers_info_by_topic(topic)
+        ]
+
+    def taking(self, body: int) -> Callable[[Any, Any], None]:
+        """Return the callback of a subscription; with two arguments, it is given each message's publisher."""
+
+        def take(message: Any, info: Any) -> None:
+            gid = (info.get("publisher_gid") or {}).get("data")  # ROS 2 before Kilted does not say it
+            if self._publishers[body].takes(gid):
+                self._take(body, message)
+
+        return take
+
     def _take(self, body: int, message: Any) -> None:
-        now = self.now()
-        stamp, position, attitude = message.header.stamp, message.pose.position, message.pose.orientation
+        now, frame_id = self.now(), message.header.frame_id
         self._counts[body] += 1
+        if frame_id != self.frame:
+            self._elsewhere = (
+                f"poses on {self.topics[body]} are given in the frame {frame_id!r}, not {self.frame!r} (--ros2-frame)"
+            )
+            return
+        self._elsewhere = ""
+        stamp, position, attitude = message.header.stamp, message.pose.position, message.pose.orientation
         numbers = (position.x, position.y, position.z, attitude.x, attitude.y, attitude.z, attitude.w)
         frame = self._pairing.take(body, stamp.sec * NANO + stamp.nanosec, np.array(numbers))
         if frame is not None:
             self._paired = True
-            self._frames.append((now, frame))
+            self.frames.append((now, frame))
 
     def _has(self, topic: str) -> bool:
         return self.node.node.count_publishers(topic) > 0
@@ -279,8 +379,8 @@ class Ros2Poses(PoseSource):
                 f"no poses on {' and '.join(missing)} within {self._patience:g} s ({others}); see --ros2-mocap, and "
                 "ROS_DOMAIN_ID"
             )
-        if self._fault is not None:
-            return self._fault
+        if self._fault is not None or self._elsewhere:
+            return self._fault or self._elsewhere
         if self._paired:
             return None
         gap = self._pairing.nearest

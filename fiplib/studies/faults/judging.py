@@ -21,31 +21,43 @@ LEVEL = math.radians(10.0)
 """A vehicle that is disarmed with less tilt than this came down level, as tests/flight/test_failsafe.py asks, rad."""
 DISARM_SECONDS = 0.5
 """Level-and-disarm frames must last that long at the end of a flight: ExpressLRS and Betaflight need that, s."""
-BALANCED = "balanced"
+DANGER = math.radians(30.0)
+"""A vehicle that tilts further while it lands is in danger, rad."""
+ON_ITS_SIDE = Limits().safety.max_tilt + 0.1
+"""In flight, one that tilts further: the failsafe's own limit, and what the vehicle turns until it levels, rad."""
+LOW = Limits().safety.floor + 0.05
+"""A vehicle that is disarmed below has landed, m."""
+SEAT = Params().seat_above_tracked
+"""Height of the seat, whose place is in a true state, above the point that motion capture gives, m."""
+BALANCED, NOT_ARMED = "balanced", "not armed"
+TILTED = "NOT MET: in danger, or disarmed while tilted"
+UNSAFE = "NOT MET: exception, command, disarming or bag"
 OPERATOR = "the operator"
 DEAD = "the death of a process without which nobody flies"
 PULSE = "the limit of 500 ms without setpoints"
 COLUMNS = (
-    *("group", "what", "modes", "vehicle", "ended", "largest_a_cm", "largest_b_cm", "commands", "not_finite"),
-    *("out_of_bounds", "longest_gap_ms", "disarm_frames", "disarm_s", "uncaught_exception", "bag"),
+    *("group", "what", "modes", "vehicle", "ended", "largest_a_cm", "largest_b_cm", "largest_tilt_deg", "commands"),
+    *("not_finite", "out_of_bounds", "longest_gap_ms", "disarm_frames", "disarm_s", "uncaught_exception", "bag"),
     *("perfect_information", "exact_with_same_gaps", "verdict"),
 )
-"""Of the table, after the fault's name."""
+"""Of the table, after the fault's name and the phase."""
 
 
 @dataclass(frozen=True)
 class Fault:
     """One row of the table, in a ``group`` of the page; ``what`` is injected, in words.
 
-    ``demanded``: the limit, or the person, that demands to give the rod up; empty if nothing does.
+    ``demanded``: the limit, or the person, that demands to give the rod up; empty if nothing does. ``phases``: those of
+    a flight in which it is injected, a row each.
     """
 
     group: str
     what: str
+    phases: tuple[str, ...] = ("hover",)
     demanded: str = field(default="", kw_only=True)
 
-    def fly(self) -> dict[str, Any]:
-        """Inject it into a flight; return the row of the table, by ``COLUMNS``."""
+    def fly(self, phase: str) -> dict[str, Any]:
+        """Inject it into a phase of a flight; return the row of the table, by ``COLUMNS``."""
         raise NotImplementedError
 
     def row(self, **values: Any) -> dict[str, Any]:
@@ -76,7 +88,8 @@ class Commands(NamedTuple):
         within = (rates <= params.vehicle.max_body_rate).all(1) & (thrust >= 0.0) & (thrust <= limits.safety.max_thrust)
         not_finite = int((~np.isfinite(numbers)).any(1).sum())
         beyond = int((~within).sum()) - not_finite
-        last_armed, gap = max(now for now, setpoint in sent if setpoint.armed), float(np.diff(times).max()) / 1e6
+        last_armed = max((now for now, setpoint in sent if setpoint.armed), default=-1)
+        gap = float(np.diff(times).max()) / 1e6
         return cls(len(sent), not_finite, beyond, last_armed, times[times > last_armed], gap)
 
     @property
@@ -95,11 +108,11 @@ def tilt_of(truth: NDArray) -> float:
     return math.acos(math.cos(truth[8]) * math.cos(truth[9]))
 
 
-def given_up(truth: NDArray, floor: float) -> str:
-    """Say how the motors were stopped, from the true state (11,) at the first disarm frame; floor in m."""
-    tilt, height = tilt_of(truth), truth[10]
+def given_up(truth: NDArray) -> str:
+    """Say how the motors were stopped, from the true state (11,) at the first disarm frame."""
+    tilt, height = tilt_of(truth), truth[10] - SEAT
     how = "levelled" if tilt < LEVEL else f"tilted {math.degrees(tilt):.0f} deg"
-    where = "landed" if height < floor + 0.05 else f"stopped at {height:.1f} m"
+    where = "landed" if height < LOW else f"stopped at {height:.1f} m"
     return f"rod given up, {how}, {where}, disarmed"
 
 
@@ -107,16 +120,17 @@ def judge(safe: bool, balanced: bool, level: bool, perfect: bool, gaps: bool | N
     """Say whether a flight met the target, and in which way. A flight that did not is named as such.
 
     ``safe``: no exception, all commands within bounds, disarmed at the end, the bag readable; ``balanced``: the rod
-    stood to the end; ``level``: the motors were stopped with less than ``LEVEL`` of tilt; ``perfect``: a controller
+    stood to the end; ``level``: the motors were stopped with less than ``LEVEL`` of tilt, and it never was in
+    ``DANGER``; ``perfect``: a controller
     with perfect information keeps the rod, and with the same ``gaps`` in its poses or commands (``None``: there were
     none); ``demanded``: who or what demands to give the rod up, if anything.
     """
     if not safe:
-        return "NOT MET: exception, command, disarming or bag"
+        return UNSAFE
     if balanced:
         return "met: recovered"
     if not level:
-        return "NOT MET: disarmed while tilted"
+        return TILTED
     if not perfect:
         return "met: ended safely, nobody would have kept the rod"
     if gaps is False:
@@ -124,6 +138,31 @@ def judge(safe: bool, balanced: bool, level: bool, perfect: bool, gaps: bool | N
     if demanded:
         return f"{'met' if demanded == OPERATOR else 'by design'}: ended safely, as {demanded} demands"
     return "NOT MET: ended safely, but the rod could have been kept"
+
+
+def judge_landing(safe: bool, level: bool, low: bool, ended: str, deaf: bool, demanded: str) -> str:
+    """Say whether a landing met the target, the rod being given up: down to the floor, level all the time.
+
+    ``low``: the motors were stopped when it was down; ``ended``: why they were; ``deaf``: commands did not get through;
+    the others as in ``judge``.
+    """
+    if not safe:
+        return UNSAFE
+    if not level:
+        return "met: ended disarmed, no command got through to level it" if deaf else TILTED
+    if low:
+        return "met: landed"
+    if demanded == OPERATOR:
+        return f"met: ended safely, as {demanded} demands"
+    for reason, limit in (("pose ", "500 ms without poses"), ("levelled ", "6 s of descent")):
+        if ended.startswith(reason):
+            return f"by design: disarmed level in the air, as the limit of {limit} demands"
+    return f"NOT MET: disarmed in the air: {ended}"
+
+
+def severity(verdict: str) -> int:
+    """Return how bad a verdict is: 0 met, 1 by design, 2 not met."""
+    return ("met", "by design", "NOT MET").index(verdict.partition(":")[0])
 
 
 def modes_of(path: Sequence[Mode]) -> str:

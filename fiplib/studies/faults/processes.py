@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from fiplib.bags.live import RESERVE
+from fiplib.bags.writer import RESERVE
 from fiplib.flight import command
 from fiplib.flight.failsafe import Guard
 from fiplib.flight.limits import Limits
@@ -61,11 +61,11 @@ class ProcessFault(Fault):
     ``arguments`` are those of the flight, which is recorded on a disk of ``disk`` bytes; 0: on the usual one.
     """
 
-    hit: Callable[["Witness"], None]
+    hit: Callable[["Witness"], None] = field(kw_only=True)
     arguments: tuple[str, ...] = HOVER
     disk: int = 0
 
-    def fly(self) -> dict[str, Any]:
+    def fly(self, phase: str) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder, Witness() as witness, contextlib.ExitStack() as stack:
             place = Path(folder) / "disk"
             place.mkdir()
@@ -105,7 +105,7 @@ class ProcessFault(Fault):
         off = commands.disarming[0] if len(commands.disarming) else commands.last_armed
         stopped = next((truth for at, truth in witness.truths if at > off), None)
         level = stopped is None or judging.tilt_of(stopped) < judging.LEVEL
-        vehicle = "gone" if stopped is None else judging.given_up(stopped, Limits().safety.floor)
+        vehicle = "gone" if stopped is None else judging.given_up(stopped)
         error = "did not end" if killed else "yes" if "Traceback" in said else "no"
         safe = error == "no" and commands.safe and "LOST" not in bag.upper()
         held, perfect = commands.disarm_seconds, self.demanded != judging.DEAD
@@ -286,11 +286,16 @@ def bag_after(bag: Path, struck: int, stopped: bool) -> str:
 
 
 def _process(what: str, hit: Callable[[Witness], None], *arguments: str, **more: Any) -> ProcessFault:
-    return ProcessFault("process", what, hit, arguments or HOVER, **more)
+    phase = "circle" if arguments else "hover"
+    return ProcessFault("process", what, (phase,), hit=hit, arguments=arguments or HOVER, **more)
+
+
+def _sender(what: str, seconds: float = math.inf, **more: Any) -> ProcessFault:
+    return ProcessFault("link", what, hit=stop("sender", seconds), **more)
 
 
 def _operator(what: str, *signals: str) -> ProcessFault:
-    return ProcessFault("operator", what, send("pilot", *signals), demanded=judging.OPERATOR)
+    return ProcessFault("operator", what, hit=send("pilot", *signals), demanded=judging.OPERATOR)
 
 
 PROCESS_FAULTS = {
@@ -301,15 +306,15 @@ PROCESS_FAULTS = {
     "kill-estimators": _process("kill -9 of each estimator started", send("estimator", "SIGKILL", times=4), *ESTIMATED),
     "kill-recorder": _process("kill -9 of the recorder", send("recorder", "SIGKILL")),
     "kill-pilot-and-recorder": _process("kill -9 of pilot and recorder", both, demanded=judging.DEAD),
-    "hang-estimator": _process("estimator hangs for good", stop("estimator"), *ESTIMATED),
+    "hang-estimator": _process("estimator hangs from then on", stop("estimator"), *ESTIMATED),
     "hang-recorder": _process("recorder hangs for 2 s, as on a stalled disk", stop("recorder", 2.0)),
-    "hang-sender-50ms": ProcessFault("link", "sender blocked for 50 ms", stop("sender", 0.05)),
-    "hang-sender-150ms": ProcessFault("link", "sender blocked for 150 ms", stop("sender", 0.15)),
-    "hang-sender": ProcessFault("link", "sender blocked for good", stop("sender"), demanded=judging.DEAD),
+    "hang-sender-50ms": _sender("sender blocked for 50 ms", 0.05),
+    "hang-sender-150ms": _sender("sender blocked for 150 ms", 0.15),
+    "hang-sender": _sender("sender blocked from then on", demanded=judging.DEAD),
     "hang-pilot-50ms": _process("pilot hangs for 50 ms", stop("pilot", 0.05)),
     "hang-pilot-150ms": _process("pilot hangs for 150 ms", stop("pilot", 0.15)),
     "hang-pilot-2s": _process("pilot hangs for 2 s", stop("pilot", 2.0), demanded=judging.PULSE),
-    "disk-full": ProcessFault("recording", "disk full in flight", lambda witness: None, disk=RESERVE + (150 << 10)),
+    "disk-full": ProcessFault("recording", "disk full in flight", hit=lambda witness: None, disk=RESERVE + (150 << 10)),
     "ctrl-c": _operator("Ctrl-C", "SIGINT"),
     "ctrl-c-twice": _operator("Ctrl-C twice: motors off", "SIGINT", "SIGINT"),
     "terminal-lost": _operator("terminal lost (SIGHUP)", "SIGHUP"),
