@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.windows import LEAD
 from fiplib.mpc import Status
+from fiplib.observers import OBSERVERS, Observer
 from fiplib.params import A_DOT, GRAVITY, NANO, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover, Observer, Pilot, Tick
+from fiplib.pilot import Circle, Hover, Pilot, Tick
 from fiplib.recording import Measurement
 
 PARAMS = Params()
@@ -43,7 +44,7 @@ def test_a_circle_starts_at_rest_and_comes_to_its_period():
 
 
 def test_differentiated_velocities_settle_on_those_of_a_ramp():
-    observer = Observer(NO_SEAT.piloting)
+    observer = Observer(NO_SEAT)
     for index in range(240):
         seconds = index / 240
         measurement = frame(index * FRAME, (0.3 * seconds, -0.2 * seconds, 1.3), offset=(0.05 * seconds, 0))
@@ -54,20 +55,22 @@ def test_differentiated_velocities_settle_on_those_of_a_ramp():
     assert (height, yaw) == (1.3, 0) and climb_rate == pytest.approx(0, abs=1e-12)
 
 
-def test_states_refer_to_the_seat_above_the_tracked_point_however_the_vehicle_is_turned():
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_states_refer_to_the_seat_above_the_tracked_point_however_the_vehicle_is_turned(observer):
     turned = Rotation.from_euler("XYZ", [0.2, -0.3, 1.0])
     seat, rod = np.array([0.4, -0.1, 1.3]), np.array([0.43, -0.12, 1.8])
     place = seat - 0.08 * turned.as_matrix()[:, 2]
     measurement = Measurement(0, place, turned.as_quat(), rod, UPRIGHT)
-    state, (height, _, _) = Observer(PARAMS.piloting).update(measurement, 1.0)
+    params = PARAMS.replace(piloting__observer=observer)
+    state, (height, _, _) = Observer(params).update(measurement, 1.0)
     np.testing.assert_allclose([*state[[X, Y]], height], seat, atol=1e-15)
     np.testing.assert_allclose(state[[A, B]], rod[:2] - seat[:2], atol=1e-15)
-    unaware, (height, _, _) = Observer(NO_SEAT.piloting).update(measurement, 1.0)
+    unaware, (height, _, _) = Observer(params.replace(piloting__seat_height=0.0)).update(measurement, 1.0)
     np.testing.assert_array_equal([*unaware[[X, Y]], height], place)
 
 
 def test_a_frame_with_an_old_stamp_changes_no_velocity():
-    observer = Observer(PARAMS.piloting)
+    observer = Observer(PARAMS)
     observer.update(frame(0), 1.0)
     before, _ = observer.update(frame(FRAME, (0.001, 0, 1.3)), 1.0)
     after, _ = observer.update(frame(FRAME, (0.002, 0, 1.3)), 1.0)
@@ -77,14 +80,14 @@ def test_a_frame_with_an_old_stamp_changes_no_velocity():
 def test_the_two_readings_of_the_pendulum_measurement_differ_by_the_length_in_use():
     lean = Rotation.from_rotvec([0.0, 0.1, 0.0]).as_quat()
     measurement = Measurement(0, np.zeros(3), UPRIGHT, 0.5 * np.array([math.sin(0.1), 0, math.cos(0.1)]), lean)
-    by_position, _ = Observer(PARAMS.piloting).update(measurement, 1.2)
-    direction = PARAMS.replace(piloting__pendulum_measurement="direction").piloting
+    by_position, _ = Observer(PARAMS).update(measurement, 1.2)
+    direction = PARAMS.replace(piloting__pendulum_measurement="direction")
     by_direction, _ = Observer(direction).update(measurement, 1.2)
     assert by_position[A] == pytest.approx(0.5 * math.sin(0.1), abs=1e-15)
     assert by_direction[A] == pytest.approx(0.6 * math.sin(0.1), abs=1e-15)
     assert by_direction[B] == pytest.approx(0, abs=1e-15)
     with pytest.raises(ValueError, match="pendulum_measurement must be 'position' or 'direction', not 'guess'"):
-        Observer(PARAMS.replace(piloting__pendulum_measurement="guess").piloting)
+        Observer(PARAMS.replace(piloting__pendulum_measurement="guess"))
 
 
 def test_commands_come_at_the_control_rate_even_when_arrivals_jitter():

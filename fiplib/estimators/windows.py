@@ -31,6 +31,9 @@ class RawWindow:
         attitude: roll, pitch, yaw of R = Rx Ry Rz, (n, 3), rad.
         command_time: when each command was given (not when it acts), (m,); starts before the first frame.
         command: body rates omega_x, omega_y in rad/s and normalised thrust, (m, 3).
+
+    Raises:
+        ValueError: an array of another shape, a number that is not finite, or times that do not increase.
     """
 
     time: NDArray
@@ -39,6 +42,30 @@ class RawWindow:
     attitude: NDArray
     command_time: NDArray
     command: NDArray
+
+    def __post_init__(self) -> None:
+        for first, names in (("time", ("vehicle", "pendulum", "attitude")), ("command_time", ("command",))):
+            count = len(self._checked(first, None))
+            for name in names:
+                self._checked(name, count)
+        for name, least in (("time", 2), ("command_time", 1)):
+            times = getattr(self, name)
+            if len(times) < least or (np.diff(times) <= 0.0).any():
+                raise ValueError(f"window {name} must hold at least {least} increasing times in s")
+
+    def _checked(self, name: str, count: int | None) -> NDArray:
+        """Keep the array of a name as float; (n,) where there is no count, else (count, 3)."""
+        try:
+            array = np.asarray(getattr(self, name), dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"window {name} holds what is no number ({error})") from error
+        shape = "(n,)" if count is None else f"({count}, 3)"
+        if array.ndim != 1 if count is None else array.shape != (count, 3):
+            raise ValueError(f"window {name} must have shape {shape}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"window {name} holds values that are not finite")
+        object.__setattr__(self, name, array)
+        return array
 
 
 class RawSampler:

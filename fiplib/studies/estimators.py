@@ -26,7 +26,7 @@ from fiplib.estimators.cramer_rao import cramer_rao, motion
 from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import Flight
+from fiplib.recording import BagError, Flight
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
@@ -205,6 +205,7 @@ def fig9_estimators(rows: Rows) -> Figure:
 
 def fig10_intervals(flight: Flight) -> Figure:
     """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
+    measures.need(flight, "length")
     figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
     axes = figure.subplots()
     found = []
@@ -212,6 +213,8 @@ def fig10_intervals(flight: Flight) -> Figure:
         estimate = maximum_likelihood(window, flight.params)
         if estimate.reason is None:
             found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
+    if not found:
+        raise BagError(f"{flight.path}: no window of it gives a length by maximum likelihood")
     times, lengths, deviations = np.array(found).T
     recorded = flight.length.values[1:, 1]
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")

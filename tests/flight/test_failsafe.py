@@ -977,3 +977,10 @@ def test_an_aborted_flight_comes_down_level_and_slowly():
     assert guard.ended == "landed" and link.vehicle.plant.x[2] - scenario.params.seat_above_tracked < 0.25
     # half a second after the abort it is level to 3 deg, and sinks at the 0.5 m/s asked for, to the lag of the motors
     assert steepest < math.radians(3.0) and -0.7 < fastest < -0.2
+
+
+def test_the_kalman_observer_flies_behind_the_failsafe_and_over_a_gap():
+    guard, stream = flying(PARAMS.replace(piloting__observer="kalman"))
+    stream.silence(0.1)
+    stream.feed(1.0)
+    assert guard.mode is Mode.FLYING and guard.ended is None
