@@ -81,7 +81,7 @@ def test_a_product_is_made_of_what_its_function_refers_to_and_no_more():
     }  # fmt: skip
     # through a function of another study, an attribute of a module, an import inside a function
     assert "fiplib/studies/estimators.py" in made_of("table11-imperfections")
-    assert {"fiplib/reproduction/measures.py", "fiplib/estimators/likelihood.py"} <= made_of("fig10-intervals")
+    assert {"fiplib/reproduction/measures.py", "fiplib/estimators/poses/in_flight.py"} <= made_of("fig10-intervals")
     assert {"fiplib/kalman.py", "fiplib/ga.py"} <= made_of("table5-seeds")
     assert "fiplib/simulate.py" not in made_of("fig7-survival")
 

@@ -37,6 +37,7 @@ STUDIES = {
     "estimators": "fiplib.studies.estimators",
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
+    "ablation": "fiplib.studies.ablation",
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
@@ -44,7 +45,10 @@ STUDIES = {
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses", "observers")
+FACTS = (
+    *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
+    *("seat", "poses", "observers", "ablation"),
+)
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

@@ -193,7 +193,7 @@ def test_in_real_time_a_length_is_estimated_beside_the_flight_and_a_bag_is_recor
     # a machine that stalls for half a second ends a flight, and a busy one has few estimates: that is not the subject
     for attempt in range(3):
         made = fly(
-            "--scenario", "estimate-1.4", "--set", "estimation.estimator=maximum_likelihood", "--real-time",
+            "--scenario", "estimate-1.4", "--set", "estimation.estimator=poses", "--real-time",
             "--duration", 6, "--output", tmp_path / "live", *(["--force"] * (attempt > 0)),
         )  # fmt: skip
         assert made.returncode == 0, made.stderr
