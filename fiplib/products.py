@@ -44,6 +44,7 @@ PRODUCTS = {
     ),
     "fig16-coverage": Product("fiplib.studies.poses:fig16_coverage", studies=("poses",)),
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
+    "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -60,6 +61,7 @@ PRODUCTS = {
     "table12-speed": Product("fiplib.studies.benchmarks:table12_speed", benchmarks=("results",)),
     "table13-coverage": Product("fiplib.studies.poses:table13_coverage", studies=("poses",)),
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
+    "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

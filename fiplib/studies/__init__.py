@@ -39,11 +39,12 @@ STUDIES = {
     "handover": "fiplib.studies.handover",
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
+    "observers": "fiplib.studies.observers",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses")
+FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses", "observers")
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 
