@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test notebooks lab book bags sweep bench paper latex lint clean
+.PHONY: help figures test fuzz notebooks lab book bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -42,6 +42,11 @@ test: .venv/installed ## run the tests, and the notebooks with small settings, o
 	@FIP_FAST=1 $(PY) -m pytest -n auto --dist loadgroup -m "not realtime" --nbmake notebooks tests; status=$$?; \
 	    $(PY) -m pytest -m realtime tests && exit $$status
 
+# Seconds of each fuzzer, and its seed: make fuzz FIP_FUZZ_SECONDS=600 FIP_FUZZ_SEED=7. In make test each takes 20 s.
+fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each failure prints how to repeat it
+	@seconds=$${FIP_FUZZ_SECONDS:-1800}; seed=$${FIP_FUZZ_SEED:-$$(date +%s)}; echo "seed $$seed"; \
+	    FIP_FUZZ_SECONDS=$$seconds FIP_FUZZ_SEED=$$seed $(PY) -m pytest -n 2 -m fuzz tests
+
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
@@ -52,7 +57,7 @@ book: .venv/installed ## make the book: notebooks with their results, and the li
 	@$(PY) docs/book.py
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
-	cd data && $(SHA256) $(foreach name,$(BAGS),$(name)/$(name).mcap $(name)/metadata.yaml) > SHA256SUMS
+	$(PY) -m fiplib.reproduction.stored $(foreach name,$(BAGS),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
 
 # The maximum-likelihood estimator solves its least squares by LAPACK: the seventh digit of its lengths depends on which
 # kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
@@ -79,6 +84,10 @@ lint: .venv/installed ## check style, format and stripped notebooks
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
+
+audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
+	@for lock in requirements.lock benchmarks/requirements.lock; do \
+	    .venv-audit/bin/pip-audit --disable-pip --require-hashes --requirement $$lock || exit 1; done
 
 clean: ## remove what was made; data/ and .venv stay
 	rm -rf .make figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
@@ -108,6 +117,12 @@ clean: ## remove what was made; data/ and .venv stay
 
 .venv-bench/installed: .venv-bench/locked pyproject.toml
 	.venv-bench/bin/python -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# The auditor is no part of what it audits: it gets an environment of its own, and the newest version of itself.
+.venv-audit/installed:
+	$(PYTHON) -m venv --clear .venv-audit
+	.venv-audit/bin/python -m pip install --disable-pip-version-check --quiet pip-audit
 	@touch $@
 
 # --- figures, tables, claims. One process draws all that is out of date: a product whose files are missing or which has a
@@ -146,7 +161,6 @@ data/sweeps/%.csv:
 data/%:
 	@echo "$@ is missing. Bags come with the repository; 'make bags' flies and records them again." >&2; exit 1
 
-SHA256 = $(shell command -v sha256sum || echo shasum -a 256)
 
 # --- paper. A fixed date makes the PDF depend on its sources alone. latexmk decides by content, make by time: the touch
 # reconciles them.

@@ -9,9 +9,11 @@ import argparse
 import errno
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from fiplib import __version__
 from fiplib.params import FipError
@@ -20,7 +22,6 @@ MISTAKE, READER_GONE = 2, 128 + 13
 """Exit statuses beside those of a subcommand: a user's mistake; the reader of the output has closed it (SIGPIPE)."""
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 """What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
-
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
 EXTRAS |= {"pandas": "tables", "pyarrow": "tables"}
@@ -69,12 +70,22 @@ def guarded(task: Callable[[], int]) -> int:
         if isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST:
             _discard_output()
             return _said(f"the output cannot be written: {error.strerror}", MISTAKE)
-        return _said(" ".join(str(error).split("\n")) or type(error).__name__, MISTAKE)
+        return _said(_one_line(str(error)) or type(error).__name__, MISTAKE)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        super().error(_one_line(message))
+
+
+def _one_line(text: str) -> str:
+    """The text without line breaks and other control characters, which names of files may hold."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", " ", text)
 
 
 def _run(arguments: list[str]) -> int:
     description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help says more."
-    parser = argparse.ArgumentParser(prog="fip", description=description, epilog=more)
+    parser = _Parser(prog="fip", description=description, epilog=more)
     parser.add_argument("--version", action="version", version=f"fip {__version__}")
     commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)

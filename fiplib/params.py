@@ -198,6 +198,12 @@ class Piloting:
     seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
+    observer: str = quantity("differentiate", "-", "paper, section 3; or 'kalman': a name in observers.OBSERVERS")
+    measurement_deviations: tuple[float, float] = quantity(
+        (0.2e-3, 1e-3), "m, rad", "our choice: kalman: standard deviations of measured positions and attitudes"
+    )
+    thrust_density: float = quantity(0.05, "m^2/s^5", "our choice: kalman: of the specific thrust's random walk")
+    force_density: float = quantity(0.01, "m^2/s^3", "our choice: kalman: of the white specific forces on both bodies")
     altitude_gains: tuple[float, float, float] = quantity(
         (12.0, 4.0, 6.0), "1/s^2, 1/s^3, 1/s", "our choice: P, I and D gain", zero=True
     )

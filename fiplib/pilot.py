@@ -20,6 +20,7 @@ from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
+from fiplib.observers import Observer
 from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
 from fiplib.recording import Measurement, nanoseconds, numbers_of
 
@@ -103,45 +104,6 @@ REFERENCES = {"Hover": Hover, "Circle": Circle}
 """The kinds of reference that a bag may name."""
 
 
-class Observer:
-    """Poses to states the paper's way (section 3): velocities differentiated, then low-pass filtered (first order).
-
-    Positions are those of the rod's seat, ``seat_height`` above the vehicle's tracked point along the body's z axis;
-    (a, b) lead from it to the rod's COM. With ``pendulum_measurement = "direction"`` they are the rod's direction times
-    half the length in use.
-    """
-
-    def __init__(self, piloting: Piloting) -> None:
-        if piloting.pendulum_measurement not in ("position", "direction"):
-            raise ValueError(
-                f"pendulum_measurement must be 'position' or 'direction', not {piloting.pendulum_measurement!r}"
-            )
-        from fiplib.kernels import poses
-
-        self._observe, self._piloting = poses.observe, piloting
-        self._stamp: int | None = None
-        self._memory = np.zeros(10)
-
-    def update(self, measurement: Measurement, length: float) -> tuple[NDArray, tuple[float, float, float]]:
-        """Take one frame.
-
-        Args:
-            measurement: the frame; one whose stamp is not later than the last one's changes no velocity.
-            length: length in use, m (needed for the reading "direction" only).
-
-        Returns:
-            The ten states, and (height in m, climb rate in m/s, yaw in rad). Velocities are zero at the first frame.
-        """
-        elapsed = 0.0 if self._stamp is None else max(0.0, (measurement.stamp - self._stamp) / NANO)
-        self._stamp = measurement.stamp
-        used = 0.0 if self._piloting.pendulum_measurement == "position" else length
-        observed, frame = np.empty(13), np.concatenate(measurement[1:], dtype=float)
-        seat, cutoff = self._piloting.seat_height, self._piloting.velocity_cutoff
-        self._observe(frame, seat, used, elapsed, cutoff, self._memory, observed)
-        height, climb_rate, yaw = observed[10:].tolist()
-        return observed[:10], (height, climb_rate, yaw)
-
-
 class Pilot:
     """From poses to body rates and thrust. The time of the reference to follow starts with the first step.
 
@@ -165,7 +127,7 @@ class Pilot:
         self.length = self._handover.used
         self._mpc = MPC(params)
         self._gains = self._feedback()
-        self._observer = Observer(params.piloting)
+        self._observer = Observer(params)
         self._loops, self._about = loops.answer, loops.pilot_constants(params, reference.height)
         self._integrals = np.zeros(2)
         self._horizon = np.arange(params.control.nodes + 1) * params.control.step

@@ -17,8 +17,9 @@ from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSampler
 from fiplib.kalman import Window
+from fiplib.observers import Observer
 from fiplib.params import NANO, STATES, Params
-from fiplib.pilot import REFERENCES, Observer, Pilot, Reference, estimator_of
+from fiplib.pilot import REFERENCES, Pilot, Reference, estimator_of
 from fiplib.recording import TOPICS, BagError, Flight, Measurement, Series
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def states(flight: Flight) -> Series:
     """The states that the controller used; where none are recorded, derived from the poses the paper's way."""
     if flight.state is not None:
         return flight.state
-    observer, length = Observer(flight.params.piloting), flight.params.piloting.initial_length
+    observer, length = Observer(flight.params), flight.params.piloting.initial_length
     derived = [(now, observer.update(measurement, length)[0]) for now, measurement in measurements(flight)]
     stamps, rows = np.array([now for now, _ in derived]), np.array([state for _, state in derived])
     return Series.of("state", stamps, rows.reshape(-1, len(STATES)))

@@ -14,6 +14,26 @@ from fiplib.recording import BagError
 
 ROOT = Path(__file__).parents[1]
 
+ANSWERS = {
+    "figures": ("figures", "--list"),
+    "claims": ("claims", "--data", "nowhere"),
+    "bag": ("bag", "info", "data/circle-0.8"),
+    "fly": ("fly", "--list"),
+    "sweep": ("sweep", "--list"),
+    "faults": ("faults", "--list"),
+    "firmware": ("firmware", "--help"),
+}
+"""A quick call of each subcommand; that of ``claims`` is a mistake, since the ledger takes minutes."""
+LONG = {
+    "figures": ("figures", "fig10-intervals", "--output", "{folder}"),
+    "claims": ("claims",),
+    "bag": ("bag", "length", "data/circle-0.8"),
+    "fly": ("fly", "--scenario", "estimate-1.4", "--output", "{folder}/flight"),
+    "sweep": ("sweep", "survival", "--workers", "1", "--data", "{folder}"),
+    "faults": ("faults", "--output", "{folder}/faults.csv"),
+}
+"""A call of each subcommand that takes seconds or more."""
+
 
 def start(*arguments: str, **options) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-m", "fiplib", *arguments], cwd=ROOT, text=True, **options)
@@ -43,6 +63,8 @@ def test_help_names_every_command_and_each_has_its_own():
         (("claims", "--data", "nowhere"), "nowhere"),
         (("sweep", "nonsense"), "nonsense"),
         (("dance",), "dance"),
+        (("bag", "info", "a\nb\x1b[31m"), "a b [31m: no such file"),
+        (("bag", "info", ".", "a\nb\x1b[31m"), "arguments: a b [31m"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(arguments, words):
@@ -66,25 +88,64 @@ def test_a_reader_that_has_seen_enough_gets_no_traceback(arguments, unbuffered):
     assert process.wait(timeout=120) == READER_GONE and said == ""
 
 
+def shell(redirection: str, *arguments: str, **options) -> subprocess.CompletedProcess:
+    """The command with streams as a shell makes them."""
+    command = ["sh", "-c", f'exec "$0" -m fiplib "$@" {redirection}', sys.executable, *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, **options)
+
+
+def test_every_subcommand_has_its_calls_here():
+    assert set(ANSWERS) == set(COMMANDS) and set(LONG) == set(COMMANDS) - {"firmware"}  # firmware may not be built
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")
-def test_a_full_output_is_one_line():
-    with open("/dev/full", "w") as full:
-        process = start("bag", "info", "data/circle-0.8", stdout=full, stderr=subprocess.PIPE)
+@pytest.mark.parametrize(
+    "name", [name for name in ANSWERS if name != "firmware"]
+)  # argparse swallows its help's errors
+def test_a_full_output_is_one_line(name):
+    done = shell(">/dev/full", *ANSWERS[name])
+    expected = "fip: nowhere" if name == "claims" else "fip: the output cannot be written"
+    assert done.returncode == 2 and done.stderr.startswith(expected) and done.stderr.count("\n") == 1
+    done = shell("2>/dev/full", *ANSWERS[name])
+    assert done.returncode == (2 if name == "claims" else 0) and done.stderr == ""
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_from_the_start_do_no_harm(name, closed):
+    done = shell(closed, *ANSWERS[name])
+    assert done.returncode == (2 if name == "claims" else 0)
+    mistake = name == "claims" and "2" not in closed
+    assert done.stderr.startswith("fip: nowhere") if mistake else done.stderr == ""
+    assert bool(done.stdout) == (">&-" not in closed.replace("2>&-", "") and name != "claims")
+
+
+@pytest.mark.parametrize("name", ["bag", "claims", "figures"])
+def test_names_that_are_no_text_are_printed_in_any_locale(name, tmp_path):
+    words = {"bag": ("bag", "info"), "claims": ("claims", "--data"), "figures": ("figures", "fig3-pushes", "--data")}[
+        name
+    ]
+    folder = os.fsencode(tmp_path) + b"/a\xffb\n\xc3\x9f"
+    for locale in ("C", "C.UTF-8"):
+        command = [sys.executable, "-m", "fiplib", *words, folder]
+        done = subprocess.run(
+            command, cwd=ROOT, capture_output=True, env={**os.environ, "LC_ALL": locale, "PYTHONUTF8": "0"}
+        )
+        assert done.returncode == 2 and b"Traceback" not in done.stderr and done.stderr.count(b"\n") == 1, done.stderr
+        assert b"no such f" in done.stderr
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_ctrl_c_ends_every_subcommand_with_its_status_and_one_line(name, tmp_path):
+    arguments = [word.format(folder=tmp_path) for word in LONG[name]]
+    with start(*arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        time.sleep(2.0 if name != "bag" else 0.5)
+        process.send_signal(signal.SIGINT)
         said = process.stderr.read()
-    assert process.wait(timeout=120) == 2
-    assert said.startswith("fip: the output cannot be written") and said.count("\n") == 1
-
-
-@pytest.mark.parametrize("closed", [0, 1, 2])
-def test_streams_that_are_closed_from_the_start_do_no_harm(closed):
-    done = subprocess.run(
-        ["sh", "-c", f'exec "$0" -m fiplib fly --list {closed}>&-', sys.executable],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0 and done.stderr == ""
-    assert ("circle-0.8" in done.stdout) == (closed != 1)
+        status = process.wait(timeout=120)
+    assert "Traceback" not in said
+    if status != 0:  # else it was done already
+        assert status == 130 and said.rstrip().endswith("fip: interrupted")
 
 
 def test_names_that_are_not_ascii_are_printed_in_any_locale(tmp_path):

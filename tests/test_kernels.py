@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from fiplib import kernels
 from fiplib.dynamics import PLANT, coupled_plant, euler_angles, rk4
-from fiplib.kernels import compiling, control, filtering, flight, piloting, poses, vehicle
+from fiplib.kernels import compiling, control, filtering, flight, observing, piloting, poses, vehicle
 from fiplib.params import Params
 
 
 def test_every_kernel_that_python_calls_is_compiled_at_import_and_for_one_signature_only():
-    called = (control.riccati, control.solve, filtering.fitness, vehicle.advance, poses.observe, piloting.answer)
+    called = (control.riccati, control.solve, filtering.fitness, vehicle.advance, observing.observe, piloting.answer)
     for kernel in (*called, piloting.circle, poses.expose, poses.true_state, vehicle.fallen, flight.fly):
         assert len(kernel.signatures) == 1
         # else an argument of another type would be compiled for within a control tick; here it is refused

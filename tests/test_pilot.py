@@ -1,14 +1,17 @@
 """The pilot on its own: references, states from poses, ticks, the estimator's schedule, the hand-over of the length."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.windows import LEAD
+from fiplib.mpc import Status
+from fiplib.observers import OBSERVERS, Observer
 from fiplib.params import A_DOT, GRAVITY, NANO, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover, Observer, Pilot
+from fiplib.pilot import Circle, Hover, Pilot, Tick
 from fiplib.recording import Measurement
 
 PARAMS = Params()
@@ -41,7 +44,7 @@ def test_a_circle_starts_at_rest_and_comes_to_its_period():
 
 
 def test_differentiated_velocities_settle_on_those_of_a_ramp():
-    observer = Observer(NO_SEAT.piloting)
+    observer = Observer(NO_SEAT)
     for index in range(240):
         seconds = index / 240
         measurement = frame(index * FRAME, (0.3 * seconds, -0.2 * seconds, 1.3), offset=(0.05 * seconds, 0))
@@ -52,20 +55,22 @@ def test_differentiated_velocities_settle_on_those_of_a_ramp():
     assert (height, yaw) == (1.3, 0) and climb_rate == pytest.approx(0, abs=1e-12)
 
 
-def test_states_refer_to_the_seat_above_the_tracked_point_however_the_vehicle_is_turned():
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_states_refer_to_the_seat_above_the_tracked_point_however_the_vehicle_is_turned(observer):
     turned = Rotation.from_euler("XYZ", [0.2, -0.3, 1.0])
     seat, rod = np.array([0.4, -0.1, 1.3]), np.array([0.43, -0.12, 1.8])
     place = seat - 0.08 * turned.as_matrix()[:, 2]
     measurement = Measurement(0, place, turned.as_quat(), rod, UPRIGHT)
-    state, (height, _, _) = Observer(PARAMS.piloting).update(measurement, 1.0)
+    params = PARAMS.replace(piloting__observer=observer)
+    state, (height, _, _) = Observer(params).update(measurement, 1.0)
     np.testing.assert_allclose([*state[[X, Y]], height], seat, atol=1e-15)
     np.testing.assert_allclose(state[[A, B]], rod[:2] - seat[:2], atol=1e-15)
-    unaware, (height, _, _) = Observer(NO_SEAT.piloting).update(measurement, 1.0)
+    unaware, (height, _, _) = Observer(params.replace(piloting__seat_height=0.0)).update(measurement, 1.0)
     np.testing.assert_array_equal([*unaware[[X, Y]], height], place)
 
 
 def test_a_frame_with_an_old_stamp_changes_no_velocity():
-    observer = Observer(PARAMS.piloting)
+    observer = Observer(PARAMS)
     observer.update(frame(0), 1.0)
     before, _ = observer.update(frame(FRAME, (0.001, 0, 1.3)), 1.0)
     after, _ = observer.update(frame(FRAME, (0.002, 0, 1.3)), 1.0)
@@ -75,14 +80,14 @@ def test_a_frame_with_an_old_stamp_changes_no_velocity():
 def test_the_two_readings_of_the_pendulum_measurement_differ_by_the_length_in_use():
     lean = Rotation.from_rotvec([0.0, 0.1, 0.0]).as_quat()
     measurement = Measurement(0, np.zeros(3), UPRIGHT, 0.5 * np.array([math.sin(0.1), 0, math.cos(0.1)]), lean)
-    by_position, _ = Observer(PARAMS.piloting).update(measurement, 1.2)
-    direction = PARAMS.replace(piloting__pendulum_measurement="direction").piloting
+    by_position, _ = Observer(PARAMS).update(measurement, 1.2)
+    direction = PARAMS.replace(piloting__pendulum_measurement="direction")
     by_direction, _ = Observer(direction).update(measurement, 1.2)
     assert by_position[A] == pytest.approx(0.5 * math.sin(0.1), abs=1e-15)
     assert by_direction[A] == pytest.approx(0.6 * math.sin(0.1), abs=1e-15)
     assert by_direction[B] == pytest.approx(0, abs=1e-15)
     with pytest.raises(ValueError, match="pendulum_measurement must be 'position' or 'direction', not 'guess'"):
-        Observer(PARAMS.replace(piloting__pendulum_measurement="guess").piloting)
+        Observer(PARAMS.replace(piloting__pendulum_measurement="guess"))
 
 
 def test_commands_come_at_the_control_rate_even_when_arrivals_jitter():
@@ -238,3 +243,64 @@ def test_the_trusted_hand_over_starts_short_and_takes_the_deviation_into_account
         assert sure.receive_estimate(1.3, 0.01) == sure.length
         unsure.receive_estimate(1.3, 0.4)
     assert unsure.length < 0.9 * sure.length < 1.3
+
+
+# --- what is given that is not what is asked for
+
+POSES = Measurement(
+    0,
+    np.array((0.0, 0.0, 1.3)),
+    np.array((0.0, 0.0, 0.0, 1.0)),
+    np.array((0.0, 0.0, 1.88)),
+    np.array((0.0, 0.0, 0.0, 1.0)),
+)
+
+
+def tick() -> Tick:
+    return Pilot(Params(), Hover()).observe(0, POSES)
+
+
+MISUSES = {
+    "no parameters": lambda pilot: Pilot(None, Hover()),
+    "no reference": lambda pilot: Pilot(Params(), None),
+    "a reference without height": lambda pilot: Pilot(Params(), SimpleNamespace(at=Hover().at)),
+    "a reference of nan": lambda pilot: Pilot(Params(), Hover(x=math.nan)),
+    "a reference of two states": lambda pilot: Pilot(
+        Params(), SimpleNamespace(at=lambda t: np.zeros((1, 2)), height=1.0)
+    ),
+    "no time": lambda pilot: pilot.step(None, POSES),
+    "a time of nan": lambda pilot: pilot.step(math.nan, POSES),
+    "a time in s": lambda pilot: pilot.step(1.5, POSES),
+    "a time before 1970": lambda pilot: pilot.step(-1, POSES),
+    "no frame": lambda pilot: pilot.step(0, None),
+    "a frame of numbers": lambda pilot: pilot.step(0, (0, 1, 2, 3, 4)),
+    "a frame without a stamp": lambda pilot: pilot.step(0, POSES._replace(stamp=None)),
+    "a stamp of nan": lambda pilot: pilot.step(0, POSES._replace(stamp=math.nan)),
+    "a position in the plane": lambda pilot: pilot.step(0, POSES._replace(vehicle_position=np.zeros(2))),
+    "position and attitude mixed up": lambda pilot: pilot.step(
+        0, Measurement(0, POSES[2], POSES[1], POSES[3], POSES[4])
+    ),
+    "no attitude": lambda pilot: pilot.step(0, POSES._replace(pendulum_attitude=None)),
+    "an attitude of nan": lambda pilot: pilot.step(0, POSES._replace(pendulum_attitude=np.full(4, math.nan))),
+    "words": lambda pilot: pilot.step(0, POSES._replace(vehicle_position="lost")),
+    "no tick to solve": lambda pilot: pilot.solve(None),
+    "no tick to answer": lambda pilot: pilot.answer(None, np.zeros(2), Status.OPTIMAL),
+    "three rates": lambda pilot: pilot.answer(tick(), np.zeros(3), Status.OPTIMAL),
+    "no rates": lambda pilot: pilot.answer(tick(), None, Status.OPTIMAL),
+    "no tick to hold": lambda pilot: pilot.hold(None, np.zeros(10)),
+    "no place to hold": lambda pilot: pilot.hold(tick(), None),
+    "no length": lambda pilot: pilot.receive_estimate(None),
+    "a length in words": lambda pilot: pilot.receive_estimate("long"),
+    "two lengths": lambda pilot: pilot.receive_estimate(np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("name", MISUSES)
+def test_a_misuse_is_one_value_error_in_words_and_changes_nothing(name):
+    pilot = Pilot(Params(), Hover())
+    with pytest.raises(ValueError) as caught:
+        MISUSES[name](pilot)
+    assert str(caught.value) and caught.type is ValueError
+    fresh = Pilot(Params(), Hover())
+    command, expected = (one.step(NANO // 60, POSES._replace(stamp=NANO // 60)) for one in (pilot, fresh))
+    np.testing.assert_array_equal(command.body_rate, expected.body_rate)

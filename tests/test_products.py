@@ -13,7 +13,7 @@ import pytest
 from fiplib import products
 from fiplib.params import FipError
 from fiplib.products import LEDGER, PRODUCTS
-from fiplib.reproduction import dependencies
+from fiplib.reproduction import dependencies, making
 from fiplib.reproduction.sources import BENCHMARKS
 from fiplib.simulate import SCENARIOS
 from fiplib.studies import STUDIES
@@ -110,7 +110,7 @@ class Checkout:
         self.touch(1, *sources, *(path for path in folder.rglob("*") if path.is_file()))
         self.touch(2, ".venv/locked")
         self.touch(3, ".venv/installed")
-        self.files = [f"figures/{name}{suffix}" for name in PRODUCTS for suffix in products.suffixes(name)]
+        self.files = [f"figures/{name}{suffix}" for name in PRODUCTS for suffix in making.suffixes(name)]
         self.files += ["figures/claims.csv", "figures/claims.txt"]
         self.files += ["paper/generated/numbers.tex", "paper/generated/claims-table.tex"]
         self.make(".make/products.mk")

@@ -69,6 +69,19 @@ def test_the_noise_of_motion_capture_is_one_stream_however_much_is_drawn_at_once
         flown(params=PARAMS.replace(simulation__vehicle_origin="tail"))
 
 
+def test_without_a_raised_seat_a_flight_is_to_the_bit_what_it_was_before_the_plant_had_one():
+    params = PARAMS.replace(vehicle__seat_height=0.0, piloting__seat_height=0.0)
+    reference, pushes = Circle(0.4, 4.0, start=0.2, ramp=1.0), (Push(1.0, (0.006, -0.004)),)
+    flight = flown(duration=3.0, reference=reference, pushes=pushes, told_lengths=((2.0, 0.8),), params=params)
+    digest = hashlib.sha256()
+    for body in (flight.vehicle, flight.pendulum):
+        digest.update(body.position.tobytes() + body.orientation.tobytes())
+    for series in (flight.truth_state, flight.state, flight.command):
+        digest.update(series.values.tobytes())
+    # of the same flight by the code of the last commit without a seat, 3e5f445
+    assert digest.hexdigest() == "d5fd8b704b38b896261caea9420674504fe53d4260bff24fb604ba96330ed7ca"
+
+
 def test_rod_and_attitude_stay_of_unit_length_over_ten_violent_seconds():
     plant, rng = Plant(PARAMS, (0, 0, 5.0), lean=(0.3, -0.2)), np.random.default_rng(1)
     worst = 0.0

@@ -62,6 +62,8 @@ def findings(flight: Flight) -> list[Finding]:
 
     The cures can be taken together: ``bags.read(path, **first.cure, **second.cure)``.
     """
+    if min(len(flight.vehicle.stamp), len(flight.pendulum.stamp)) < 2:
+        return []  # too few to say anything, or for a length
     if flight not in _KNOWN:
         _KNOWN[flight] = list(_found(flight))
     return list(_KNOWN[flight])

@@ -9,6 +9,7 @@ from pathlib import Path
 from rosbags.convert import ConverterError
 from rosbags.convert import convert as convert_ros1
 
+from fiplib.bags import guards
 from fiplib.bags.csv_files import NOTHING, Stated, from_csv
 from fiplib.bags.files import is_ros1, suggestion
 from fiplib.recording import BagError
@@ -25,8 +26,7 @@ def convert(source: Path, output: Path | None = None, stated: Stated = NOTHING) 
     Raises:
         BagError: the source cannot be converted, or the output exists; nothing is left behind then.
     """
-    if not source.exists():
-        raise BagError(f"{source}: no such file or directory")
+    guards.recording(source)
     if source.is_dir() or source.suffix in (".mcap", ".db3", ".zstd"):
         raise BagError(
             f"{source}: not a CSV file nor a bag of ROS 1; a ROS 2 bag is read as it is: fip bag info {source}"

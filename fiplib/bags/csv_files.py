@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fiplib.bags import guards
 from fiplib.bags.conventions import UNITS
 from fiplib.bags.roles import BODIES, Place, two_bodies
 from fiplib.bags.writer import BagRecorder
@@ -87,7 +88,7 @@ def from_csv(source: Path, bag: Path, stated: Stated = NOTHING) -> list[str]:
         head = list(islice(rows, _HEAD))
         layout = _layout(source, head, stated)
         lines, times, values = _numbers(source, layout, chain(head, rows))
-    except csv.Error as error:
+    except (csv.Error, ValueError) as error:
         raise BagError(f"{source}: not a CSV file ({error})") from error
     notes = [f"the file is {layout.kind}, by its header" if stated.columns is None else f"the file is {layout.kind}"]
     stamps = _stamps(source, layout, stated, lines, times, values, notes)
@@ -107,7 +108,7 @@ def _rows(source: Path) -> Iterator[Row]:
     with source.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
         start = stream.read(4096)
         stream.seek(0)
-        reader = csv.reader(stream, delimiter=max(",;\t", key=start.count))
+        reader = csv.reader(guards.lines(stream), delimiter=max(",;\t", key=start.count))
         for row in reader:
             yield reader.line_num, [cell.strip() for cell in row]
 

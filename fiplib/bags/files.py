@@ -10,8 +10,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ruamel.yaml import YAML
-
+from fiplib.bags import guards
 from fiplib.bags.mcap import profile
 from fiplib.bags.messages import ZSTD, zstd
 from fiplib.recording import BagError
@@ -39,12 +38,11 @@ _SUFFIXES = (".mcap", ".db3", ".zst", ".zstd")
 
 def information_of(path: Path) -> Mapping[str, Any]:
     """Return what metadata.yaml says; empty if there is none."""
-    if not path.exists():
-        raise BagError(f"{path}: no such file or directory")
+    guards.recording(path)
     file = path / "metadata.yaml"
     if path.is_file() or not file.exists():
         return {}
-    return dict(YAML(typ="safe").load(file.read_text())["rosbag2_bagfile_information"])
+    return dict(guards.words(file)["rosbag2_bagfile_information"])
 
 
 def named_files(information: Mapping[str, Any]) -> list[str]:
@@ -73,7 +71,7 @@ def files_of(path: Path, information: Mapping[str, Any], missing: list[str] | No
     present = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES and file.is_file())
     names = named_files(information)
     named = [next((file for file in present if _plain(file.name) == _plain(name)), None) for name in names]
-    if files := [file for file in named if file]:
+    if files := [guards.inside(path, file.name) for file in named if file]:
         if gone := [name for name, file in zip(names, named, strict=True) if file is None]:
             if missing is None:
                 raise BagError(
@@ -181,8 +179,7 @@ def plain(file: Path, stack: ExitStack, damaged: bool = False) -> Path:
     target = Path(stack.enter_context(TemporaryDirectory())) / file.stem
     with zstd.open(file, "rb") as packed, target.open("wb") as content:
         try:
-            while part := packed.read1(1 << 20):
-                content.write(part)
+            guards.copied(packed, content, file)
         except (zstd.ZstdError, EOFError):
             if not damaged:
                 raise

@@ -20,8 +20,8 @@ import numpy as np
 from lz4.frame import LZ4FrameDecompressor
 from numpy.typing import NDArray
 from rosbags.rosbag2.storage_mcap import read_bytes, read_string
-from ruamel.yaml import YAML
 
+from fiplib.bags import guards
 from fiplib.bags.messages import zstd
 
 __all__ = ["HEAD", "File", "Gap", "Piece", "Remains", "Topic", "chunk_at", "embedded_metadata", "piece_of", "profile"]
@@ -37,9 +37,10 @@ _SUMMARY = (3, 4, 8, 10, 11, 13, 14)
 _DAMAGE = 0  # no opcode of MCAP: stands for bytes that are no record
 # Opcode and length of a message, a chunk or a metadata record; lengths from 2^40 on are none.
 _HEAD = re.compile(rb"(?=[\x05\x06\x0c].{5}\x00{3})", re.DOTALL)
+_OPCODES = (b"\x05", b"\x06", b"\x0c")
 _WINDOW = 1 << 20  # bytes in which they are looked for at once
 _AHEAD = 1 << 16  # bytes that are read at once where little is asked for
-_LARGEST = 1 << 29  # bytes of a message or a chunk; a length beyond is damage
+_LARGEST = guards.UNPACKED  # a length beyond is damage
 _START = struct.Struct("<BQ")  # opcode and length of a record
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # the same, channel, sequence, log and publish time
 HEAD = _MESSAGE_HEAD.size
@@ -248,7 +249,10 @@ def _walk(content: File) -> Iterator[tuple[int, Any, int]]:
 def _next(content: File, at: int, channels: Collection[int]) -> int:
     """Where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
     for base in range(at, len(content), _WINDOW):
-        for match in _HEAD.finditer(content[base : base + _WINDOW + 8]):
+        window = content[base : base + _WINDOW + 8]
+        if not any(opcode in window for opcode in _OPCODES):  # nothing: a sparse file has gigabytes of zeros
+            continue
+        for match in _HEAD.finditer(window):
             start = base + match.start()
             records, end = _records_at(content, start, False)
             if records is None:
@@ -421,7 +425,11 @@ def embedded_metadata(source: Path) -> Mapping[str, Any]:
     with File(source) as content:
         while head := _head(content, at):
             opcode, start, at = head
-            if opcode == _METADATA and (entries := _custom_data(content[start:at])) is not None:
+            if (
+                opcode == _METADATA
+                and at - start <= guards.WORDS
+                and (entries := _custom_data(content[start:at])) is not None
+            ):
                 return entries
             if opcode == _FOOTER:
                 return {}
@@ -439,7 +447,7 @@ def _custom_data(data: bytes) -> Mapping[str, Any] | None:
     stream.read(4)  # the size of the map
     if read_string(stream) != "serialized_metadata":
         return None
-    information = YAML(typ="safe").load(read_string(stream))
+    information = guards.words(read_string(stream))
     if "custom_data" not in information and information["version"] >= 6:
         return None
     return dict(information.get("custom_data") or {})

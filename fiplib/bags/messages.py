@@ -12,6 +12,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from fiplib.bags import guards
 from fiplib.params import NANO
 from fiplib.recording import ATTITUDE, JOINTS, POINT, POSE
 
@@ -62,8 +63,17 @@ def definitions(kind: str, text: str) -> Typestore:
 
 
 def unpacked(message: bytes) -> bytes:
-    """A message, decompressed if it was compressed by itself."""
-    return zstd.decompress(message) if message.startswith(ZSTD) else message
+    """A message, decompressed if it was compressed by itself. Raises ValueError if that makes it too large."""
+    if not message.startswith(ZSTD):
+        return message
+    plain = b""
+    while message:  # a frame at a time
+        unpacker = zstd.ZstdDecompressor()
+        plain += unpacker.decompress(message, guards.UNPACKED - len(plain) + 1)
+        if not unpacker.eof or len(plain) > guards.UNPACKED:
+            raise ValueError(f"compressed data that are cut, or unpack to more than {guards.UNPACKED >> 20} MB")
+        message = unpacker.unused_data
+    return plain
 
 
 class Layout(NamedTuple):

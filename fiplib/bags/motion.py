@@ -13,6 +13,7 @@ from fiplib.recording import Poses, Series
 STEP = 0.01  # s, of the grid on which signals are compared
 _WIDTH = 0.08  # s, of the Gaussian that smooths both sides of a comparison alike: what is faster than 2 Hz is left out
 _LONGEST = 7200.0  # s in which commands are looked for
+_MOST = 1_000_000  # points of a grid: nearly three hours
 _LEAST = 10.0  # independent samples, for a comparison to say anything
 
 
@@ -171,8 +172,9 @@ def followed(vehicle: Poses, command: Series) -> tuple[float, float, float] | No
 
 
 def even(stamp: NDArray) -> NDArray:
-    """Return stamps in ns every ``STEP``, over the same time."""
-    return np.arange(stamp[0], stamp[-1] + 1, round(STEP * 1e9))
+    """Return stamps in ns every ``STEP``, over the same time, ``_MOST`` at most."""
+    step = round(STEP * 1e9)
+    return int(stamp[0]) + step * np.arange(min(int(stamp[-1] - stamp[0]) // step + 1, _MOST))
 
 
 def gridded(stamp: NDArray, columns: NDArray, grid: NDArray) -> NDArray:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rosbags.rosbag2.storage_mcap import get_qos
-from ruamel.yaml import YAML
 
+from fiplib.bags import guards
 from fiplib.bags.copying import Copy
 from fiplib.bags.files import files_of, information_of, magic, name_what_it_is, plain
 from fiplib.bags.mcap import Gap, Remains
@@ -142,8 +142,7 @@ def intact_messages(source: Path) -> int:
 
 def _files(source: Path, missing: list[str]) -> list[Path]:
     """The files of the recording that can be recovered. Raises BagError, which names what they are, if none can."""
-    if not source.exists():
-        raise BagError(f"{source}: no such file or directory")
+    guards.recording(source)
     information: Mapping[str, Any] = {}
     with suppress(Exception):  # whatever YAML raises where it is damaged
         information = information_of(source)
@@ -234,9 +233,9 @@ def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
     folder = source if source.is_dir() else source.parent
     places: list[Callable[[], Any]] = [functools.partial(getattr, rest, "entries") for rest in remains]
     if source.is_dir() or source.stem == folder.name:
-        yaml = YAML(typ="safe")
-        places.insert(0, lambda: yaml.load(folder / "metadata.yaml")["rosbag2_bagfile_information"]["custom_data"])
-        places.append(lambda: yaml.load(folder / SIDECAR))
+        known = "rosbag2_bagfile_information"
+        places.insert(0, lambda: guards.words(folder / "metadata.yaml")[known]["custom_data"])
+        places.append(lambda: guards.words(folder / SIDECAR))
     for place in places:
         with suppress(Exception):  # whatever YAML and JSON raise where the file is absent or damaged
             if (entries := place()) and genuine(entries):

@@ -53,6 +53,8 @@ def lost(flight: Flight) -> tuple[Lost, Lost]:
 
 def tracked(flight: Flight) -> Flight:
     """Return the flight without the poses that are none; the flight itself if there are no such."""
+    if min(len(flight.vehicle.stamp), len(flight.pendulum.stamp)) < 2:
+        return flight
     vehicle, rod = (one.any for one in lost(flight))
     if not (vehicle.any() or rod.any()) or vehicle.all() or rod.all():
         return flight

@@ -5,7 +5,7 @@ motion capture, the ticks. So the loop from tick to tick is one matrix, without 
 
 - plant: vehicle and rod with reaction and inertia (``dynamics.coupled_plant``, linearised upright), the inner loop's
   lag, and as a pure delay in whole substeps the delay of the inner loop and the latency of motion capture;
-- observer: velocities differentiated and low-pass filtered at every frame, as in ``pilot.Observer``;
+- observer: the one that ``piloting.observer`` names, at every frame (``observers.LinearObserver``);
 - controller: the first Riccati gain of ``mpc.MPC`` for the length it *uses*, while the plant has the *true* one.
 
 What it leaves out: bounds, noise, large angles. Margins are those of the loop broken at the commanded body rate.
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from fiplib import observers
 from fiplib.mpc import MPC
 from fiplib.params import GRAVITY, Params
 
@@ -55,8 +56,7 @@ UNSTABLE = Margins(1.0, 1.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class LinearLoop:
-    """One axis from control tick to control tick: plant (6), the observer's last positions (2) and velocities (2),
-    and the commands under way.
+    """One axis from control tick to control tick: plant (6), the observer's states, and the commands under way.
 
     ``open_loop`` is L(z), from the commanded body rate to the controller's answer to it, sign reversed; ``step`` the
     control period in s; ``gain`` K (5,) of u = -K (s, s', d, d', tilt), and ``sees`` (5, n) what the controller takes
@@ -158,9 +158,15 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
     delay = round((params.simulation.mocap_latency + params.simulation.rate_delay) * rates[0])  # as simulate.Plant
     ticks = math.ceil(delay / (frames * substeps))
 
-    # Within a tick: plant (6), last positions (2), velocities (2), commands from this tick's to that of `ticks` ago
-    size = 11 + ticks
-    observe, tick = _observer(params, size), np.eye(size)
+    # Within a tick: plant (6), the observer's states, commands from this tick's to that of `ticks` ago
+    observer = observers.module(params).linear(params, used_length)
+    given = 6 + len(observer.a)
+    size = given + 1 + ticks
+    observe, tick, measured = np.eye(size), np.eye(size), np.zeros((3, size))
+    measured[[0, 1, 1, 2], [0, 0, 2, 4]] = 1.0  # tracked points of vehicle and rod, tilt
+    measured[0, 4] = -params.seat_above_tracked
+    observe[6:given, 6:given] = observer.a
+    observe[6:given] += observer.b @ measured
     a, b = linear_plant(params)
     held = expm(np.block([[a, b], [np.zeros((1, 7))]]) / rates[0])
     for substep in range(frames * substeps):
@@ -168,27 +174,11 @@ def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis
             tick = observe @ tick
         age = max(0, math.ceil((delay - substep) / (frames * substeps)))
         advance = np.eye(size)
-        advance[:6, :6], advance[:6, 10 + age] = held[:6, :6], held[:6, 6]
+        advance[:6, :6], advance[:6, given + age] = held[:6, :6], held[:6, 6]
         tick = advance @ tick
     # Between ticks the oldest command has done its work; the new one comes in as the input
-    kept = np.delete(np.eye(size), 10, axis=1)
+    kept = np.delete(np.eye(size), given, axis=1)
     gain = (mpc or MPC(params)).prepare(used_length)[axis].gains[0]
-    sees = (observe @ kept)[[6, 8, 7, 9, 4]]
-    open_loop = control.ss((tick @ kept)[:-1], tick[:-1, 10:11], gain[None] @ sees, 0.0, 1.0 / rates[2])
+    sees = observer.c @ (observe @ kept)[6:given] + observer.d @ measured @ kept
+    open_loop = control.ss((tick @ kept)[:-1], tick[:-1, given : given + 1], gain[None] @ sees, 0.0, 1.0 / rates[2])
     return LinearLoop(open_loop, 1.0 / rates[2], gain, sees)
-
-
-def _observer(params: Params, size: int) -> NDArray:
-    """What a frame does to plant (6), last positions (2) and velocities (2), as ``pilot.Observer``.
-
-    A pilot that is mistaken about the seat's height takes a share of the tilt for position and offset.
-    """
-    piloting, mistaken = params.piloting, params.piloting.seat_height - params.seat_above_tracked
-    share = 1.0 - math.exp(-2.0 * math.pi * piloting.velocity_cutoff / piloting.mocap_rate)
-    observe = np.eye(size)
-    for axis, (position, tilt) in enumerate(((0, mistaken), (2, -mistaken))):
-        last, velocity = 6 + axis, 8 + axis
-        observe[last, [position, 4, last]] = 1.0, tilt, 0.0
-        observe[velocity, [position, 4, last]] = np.array([1.0, tilt, -1.0]) * share * piloting.mocap_rate
-        observe[velocity, velocity] = 1.0 - share
-    return observe

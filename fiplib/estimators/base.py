@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from inspect import Parameter, signature
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    from fiplib.params import Params
+import numpy as np
+
+from fiplib.params import Params
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,34 @@ class Estimator(NamedTuple):
     def function(self) -> Callable[..., Estimate]:
         """A function (window, params, rng) -> Estimate, to be taken once for all windows of a flight.
 
-        Its module is imported now.
+        Its module is imported now. It raises ValueError for arguments of another kind, before the estimator sees them.
         """
         found = resolve_name(f"{__package__}.{self.path}")
-        return found() if self.streams else found
+        function = found() if self.streams else found
+        needs_rng = signature(function).parameters["rng"].default is Parameter.empty
 
-    def answer(self, window: Any, params: "Params", rng: Any) -> Estimate:
+        @wraps(found, updated=())
+        def checked(window: Any, params: Any, rng: Any = None) -> Estimate:
+            self._check(window, params, rng, needs_rng)
+            return function(window, params, rng)
+
+        return checked
+
+    def _check(self, window: Any, params: Any, rng: Any, needs_rng: bool) -> None:
+        """Raise ValueError unless these are a window of this kind, parameters and, if needed, a generator."""
+        from fiplib.estimators.windows import RawWindow  # here: this module is imported by what windows import
+        from fiplib.kalman import Window
+
+        name, kind = self.path.partition(":")[2], {"states": Window, "raw": RawWindow}[self.kind]
+        for what, value, wanted in (("window", window, kind), ("params", params, Params)):
+            if not isinstance(value, wanted):
+                raise ValueError(
+                    f"{name} takes a {what} of the type {wanted.__name__}, not {type(value).__name__} ({value!r:.60})"
+                )
+        if not isinstance(rng, np.random.Generator) and (needs_rng or rng is not None):
+            raise ValueError(f"{name} takes an rng made by numpy.random.default_rng, not {type(rng).__name__}")
+
+    def answer(self, window: Any, params: Params, rng: Any) -> Estimate:
         """Return what may be stated as a result: ``checks.checked`` of the function's estimate.
 
         In flight the function itself is used: the hand-over, not a refusal, decides there what is taken over.

@@ -32,7 +32,10 @@ def moving_horizon(window: Window, params: Params, rng: np.random.Generator | No
         return Estimate(math.nan, math.nan, f"IPOPT gave up: {solver.stats()['return_status']}")
     best = solution["x"]
     unit = ca.DM(np.eye(window.states.size + 1)[-1])
-    variance = float(ca.solve(hessian(best, data), unit, "csparse")[-1])
+    try:
+        variance = float(ca.solve(hessian(best, data), unit, "csparse")[-1])
+    except RuntimeError:  # of CasADi: singular
+        return Estimate(math.nan, math.nan, "nothing in the window depends on the length")
     return Estimate(float(best[-1]), math.sqrt(variance) if variance > 0 else math.nan)
 
 

@@ -5,6 +5,7 @@ bodies as measured (``RawWindow``, ``RawSampler``). Both are fed alike.
 """
 
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,37 @@ LEAD = 0.1
 """Poses count from this many seconds after the first command on: until then the vehicle may be held."""
 
 
-class RawPoses(NamedTuple):
+@dataclass(frozen=True)
+class RawPoses:
     """Poses of one body: ``stamp`` (n,) of their exposure in ns, ``position`` (n, 3) in m, ``axis`` (n, 3) its body z
-    in the world."""
+    in the world.
+
+    Raises:
+        ValueError: an array of another shape, a number that is not finite, or stamps that are out of order.
+    """
 
     stamp: NDArray
     position: NDArray
     axis: NDArray
+
+    def __post_init__(self) -> None:
+        for name in ("stamp", "position", "axis"):
+            try:
+                array = np.asarray(getattr(self, name), dtype=float)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"poses: {name} holds what is no number ({error})") from error
+            shape = "(n,)" if name == "stamp" else f"({len(self.stamp)}, 3)"
+            if array.ndim != 1 if name == "stamp" else array.shape != (len(self.stamp), 3):
+                raise ValueError(f"poses: {name} must have shape {shape}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"poses: {name} holds values that are not finite")
+            object.__setattr__(self, name, np.asarray(self.stamp, dtype=np.int64) if name == "stamp" else array)
+        if (np.diff(self.stamp) < 0).any():
+            raise ValueError("poses: stamp must not decrease")
+
+    def part(self, kept: NDArray) -> "RawPoses":
+        """Return some of the poses, chosen by a mask or by indices."""
+        return RawPoses(self.stamp[kept], self.position[kept], self.axis[kept])
 
 
 class RawWindow(NamedTuple):

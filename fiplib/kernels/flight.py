@@ -5,14 +5,15 @@ from numpy.typing import NDArray
 
 from fiplib.kernels.compiling import compiled
 from fiplib.kernels.control import solve
+from fiplib.kernels.observing import observe
 from fiplib.kernels.piloting import answer
-from fiplib.kernels.poses import expose, observe, true_state
+from fiplib.kernels.poses import expose, true_state
 from fiplib.kernels.vehicle import advance, fallen
 
 
 @compiled(
     "i8(i8, i8, f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:,:,::1],"
-    " f8, f8, f8, f8[::1], f8[::1], f8[::1],"
+    " f8, f8[::1], f8[::1], f8[::1], f8[::1],"
     " f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8, f8, f8[:,::1],"
     " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1])"
 )
@@ -29,9 +30,8 @@ def fly(
     elapsed: NDArray,
     tick_elapsed: NDArray,
     references: NDArray,
-    seat: float,
     length: float,
-    cutoff: float,
+    observer: NDArray,
     memory: NDArray,
     pilot: NDArray,
     integrals: NDArray,
@@ -59,7 +59,7 @@ def fly(
         acts: substep at which the command of each tick begins to act, (T,).
         elapsed: since the frame before, in s, (F,); ``tick_elapsed``: since the tick before, (T,).
         references: (T, N + 1, 10).
-        seat, length, cutoff, memory: as in ``observe``.
+        length, observer, memory: as in ``observe``, with the observer's constants.
         pilot, integrals: as in ``answer``.
         model to work: as in ``solve``.
         frames, truths, states, commands, statuses: what is written: (F, 14), (F, 11), (T, 10), (T, 4), (T,).
@@ -78,7 +78,7 @@ def fly(
     for index in range(first, last):
         expose(x, about[2], about[8], noise[index], frames[index])
         true_state(x, about[2], truths[index])
-        observe(frames[index], seat, length, elapsed[index], cutoff, memory, observed)
+        observe(frames[index], length, elapsed[index], observer, memory, observed)
         tick = ticks[index]
         if tick >= 0:
             states[tick] = observed[:10]

@@ -1,4 +1,4 @@
-"""Frames of motion capture: simulated from the plant's state, and turned into the states of the controller."""
+"""Frames of motion capture, simulated from the plant's state."""
 
 import math
 
@@ -26,7 +26,7 @@ def _turned(q: tuple, noise: NDArray, first: int) -> tuple:
 
 
 @compiled()
-def _along_z(q: NDArray, first: int, height: float) -> tuple:
+def along_z(q: NDArray, first: int, height: float) -> tuple:
     """``height`` times the body's z axis of the quaternion at ``first``."""
     x, y, z, w = q[first], q[first + 1], q[first + 2], q[first + 3]
     return (
@@ -47,7 +47,7 @@ def expose(x: NDArray, radius: float, seat: float, noise: NDArray, frame: NDArra
         noise: of both positions in m, then of both attitudes in rad, (12,).
         frame: numbers that single precision can hold.
     """
-    below = _along_z(x, 6, seat)
+    below = along_z(x, 6, seat)
     for n in range(3):
         tracked = x[n] - below[n] if seat > 0.0 else x[n]
         frame[n] = single(tracked + noise[n])
@@ -75,39 +75,3 @@ def true_state(x: NDArray, radius: float, truth: NDArray) -> None:
     truth[4], truth[5], truth[6], truth[7] = radius * x[10], radius * x[13], radius * x[11], radius * x[14]
     truth[8], truth[9], _ = euler_angles(x, 6)
     truth[10] = x[2]
-
-
-@compiled("void(f8[::1], f8, f8, f8, f8, f8[::1], f8[::1])")
-def observe(
-    frame: NDArray, seat: float, length: float, elapsed: float, cutoff: float, memory: NDArray, observed: NDArray
-) -> None:
-    """Write the states (10,), then height in m, climb rate in m/s and yaw in rad: ``pilot.Observer``.
-
-    Args:
-        frame: (14,), as ``expose`` writes it.
-        seat: its height above the vehicle's tracked point in m: positions and offsets are those of the seat.
-        length: of the rod, if (a, b) are to be its direction times half the length; 0 for the position of its COM.
-        elapsed: since the last frame in s; at 0 and below velocities stay as they are.
-        cutoff: of the low-pass filter in Hz.
-        memory: last positions x, y, a, b, z and their filtered velocities, (10,); zeros at first.
-        observed: (13,).
-    """
-    phi, theta, psi = euler_angles(frame, 3)
-    place = (frame[0], frame[1], frame[2])
-    if seat > 0.0:
-        above = _along_z(frame, 3, seat)
-        place = (frame[0] + above[0], frame[1] + above[1], frame[2] + above[2])
-    a, b = frame[7] - place[0], frame[8] - place[1]
-    if length > 0.0:
-        x, y, z, w = frame[10], frame[11], frame[12], frame[13]
-        a, b = length * (x * z + w * y), length * (y * z - w * x)
-    share = 1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)
-    position = (place[0], place[1], a, b, place[2])
-    for n in range(5):
-        if elapsed > 0.0:
-            memory[5 + n] += share * ((position[n] - memory[n]) / elapsed - memory[5 + n])
-        memory[n] = position[n]
-    for n in range(4):
-        observed[2 * n], observed[2 * n + 1] = memory[n], memory[5 + n]
-    observed[8], observed[9] = phi, theta
-    observed[10], observed[11], observed[12] = memory[4], memory[9], psi

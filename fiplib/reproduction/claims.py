@@ -144,7 +144,8 @@ def as_angle(paper: float, flight: Flight, *, of: str) -> Finding:
 
 def push_settling(paper: float, flight: Flight) -> Finding:
     """D3: time from a push until |a| and |b| stay below ``SETTLED``, s; the longest of all pushes."""
-    time, outside, starts = flight.time(flight.state), lean(flight) > SETTLED, push_times(flight)
+    outside, starts = lean(flight) > SETTLED, push_times(flight)
+    time = flight.time(flight.state)
     spans = [(time >= start) & (time < until) for start, until in zip(starts, [*starts[1:], math.inf], strict=True)]
     longest = max(settling_time(time[s], outside[s]) - start for s, start in zip(spans, starts, strict=True))
     words = f"Settled: a and b stay within {100 * SETTLED:g} cm (the paper names no band). The slowest of the pushes."

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from fiplib.reproduction.sources import Product
 
 ROOT = Path(__file__).parents[2]
+_READING = [f"fiplib/reproduction/{name}.py" for name in ("making", "sources", "stored")]  # of every product
 
 
 def files(*addresses: str) -> list[Path]:
@@ -30,7 +31,7 @@ def files(*addresses: str) -> list[Path]:
 
 def rules(products: Mapping[str, Product]) -> list[str]:
     """The lines of a makefile that name the sources of each product: code and data."""
-    common = [Path("requirements.lock"), Path("fiplib/products.py"), Path("fiplib/reproduction/sources.py")]
+    common = [Path("requirements.lock"), Path("fiplib/products.py"), *map(Path, _READING)]
     lines, scanned = [], set(common)
     for name, product in products.items():
         reading = ["fiplib.bags:read"] if product.bags else []

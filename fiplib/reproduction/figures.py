@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.dynamics import seat_position
 from fiplib.params import STATES, Params
-from fiplib.recording import Flight
+from fiplib.recording import BagError, Flight
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
 
@@ -22,11 +22,12 @@ def fig1_flight(flight: Flight) -> Figure:
     """Fig. 1: the flight in space, vehicle, rod and circle, one snapshot a second over the last lap."""
     figure = Figure(figsize=(COLUMN, 2.9))
     axes = figure.add_axes((-0.05, -0.04, 1.02, 1.13), projection="3d")
-    time = flight.time(flight.vehicle)
-    lap = time > flight.duration - flight.metadata["reference"]["period"]
+    time, (radius, height, period) = flight.time(flight.vehicle), measures.circling(flight)
+    if not np.array_equal(flight.vehicle.stamp, flight.pendulum.stamp):
+        raise BagError(f"{flight.path}: its two bodies do not have the same stamps, one for one")
+    lap = time > flight.duration - period
     axes.plot(*flight.vehicle.position[lap].T, color=BLUE, label="vehicle")
     axes.plot(*flight.pendulum.position[lap].T, color=ORANGE, label="rod's centre of mass")
-    radius, height = flight.metadata["reference"]["radius"], flight.metadata["reference"]["height"]
     angle = np.linspace(0, 2 * np.pi, 200)
     circle = radius * np.cos(angle), radius * np.sin(angle), np.full(200, height)
     axes.plot(*circle, "--", color=GREY, lw=0.7, label="reference")
@@ -90,9 +91,9 @@ def fig3_pushes(flight: Flight) -> Figure:
     _band(panels[1], 100 * claims.PAPER["D2"], "paper's largest")
     _plot_states(panels[2], flight, ("phi", "theta"), "tilt", scale=np.degrees(1), unit="deg")
     _plot_rates(panels[3], flight)
-    for push in flight.metadata["pushes"]:
+    for start in measures.push_times(flight):
         for axes in panels:
-            axes.axvline(push["start"], color=GREY, lw=0.6, ls=":")
+            axes.axvline(start, color=GREY, lw=0.6, ls=":")
     return figure
 
 
@@ -113,6 +114,7 @@ def fig5_estimation(flight: Flight) -> Figure:
     for axes, name in zip(panels, "xy", strict=False):
         _plot_tracking(axes, flight, name)
     _plot_errors(panels[2], flight)
+    measures.need(flight, "length")
     time, used = measures.used_length(flight)
     estimate, deviation = flight.length.values.T[1:]
     axes = panels[3]
@@ -170,6 +172,7 @@ def _origin(figure: Figure, *flights: Flight, y: float | None = None) -> None:
 def _plot_states(
     axes: Axes, flight: Flight, names: tuple[str, str], what: str, scale: float = 1.0, unit: str = "m"
 ) -> None:
+    measures.need(flight, "state")
     labels = {signal.name: signal.label for signal in STATES}
     time = flight.time(flight.state)
     for name, colour in zip(names, (BLUE, ORANGE), strict=True):
@@ -179,10 +182,11 @@ def _plot_states(
 
 
 def _plot_tracking(axes: Axes, flight: Flight, name: str) -> None:
+    measures.states(flight)
     axes.plot(flight.time(flight.reference), flight.reference.column(name), "--", color=GREY, lw=0.8, label="reference")
     axes.plot(flight.time(flight.state), flight.state.column(name), color=BLUE, label="flown")
     axes.set_ylabel(f"${name}$ (m)")
-    top = 1.9 * np.abs(flight.reference.column(name)).max()
+    top = 1.9 * max(np.abs(flight.reference.column(name)).max(), 1e-3)
     axes.set_ylim(-top / 1.5, top)
     axes.legend(loc="upper right", ncols=2)
 
@@ -198,6 +202,7 @@ def _plot_errors(axes: Axes, flight: Flight) -> None:
 
 
 def _plot_rates(axes: Axes, flight: Flight) -> None:
+    measures.need(flight, "command")
     time = flight.time(flight.command)
     for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
         axes.plot(time, np.degrees(flight.command.column(name)), color=colour, lw=0.4, alpha=0.8, label=label)

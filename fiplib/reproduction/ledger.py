@@ -3,15 +3,17 @@
 import argparse
 import math
 import re
+import sys
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 from fiplib.params import Params
-from fiplib.recording import Flight
+from fiplib.recording import BagError, Flight
 from fiplib.reproduction.claims import BY_ID, CLAIMS, Claim, Verdict
 from fiplib.reproduction.sources import Quantities, Rows, csv_text
 from fiplib.reproduction.tables import NONE, Facts, Table
@@ -31,15 +33,43 @@ class Row(NamedTuple):
     facts: Mapping[str, str]
 
 
-def evaluate(data: Path = Path("data")) -> list[Row]:
-    """Judge every claim on its sources in ``data`` and ``benchmarks/`` beside it. Raises BagError and JournalError."""
-    read = {tuple(claim.names): claim for claim in CLAIMS}
-    sources = {names: claim.read(data) for names, claim in read.items()}
-    return [judged(claim, sources[tuple(claim.names)]) for claim in CLAIMS]
+def evaluate(
+    data: Path = Path("data"),
+    check: Callable[[str, Rows], object] = lambda *_: None,
+    failures: list[str] | None = None,
+) -> list[Row]:
+    """Judge every claim on its sources in ``data`` and ``benchmarks/`` beside it.
+
+    Args:
+        data: the folder of the bags.
+        check: as for ``Sources.read``.
+        failures: gets a sentence for each bag that claims cannot be judged from, whose rows stay open then; None: the
+            first of these is raised.
+
+    Raises:
+        BagError, JournalError: a bag is missing, damaged or lacks something; a table is damaged.
+    """
+
+    @cache
+    def sources(claim: Claim) -> list[Flight | Rows | Quantities]:
+        return claim.read(data, check)
+
+    rows, first = [], {tuple(claim.names): claim for claim in CLAIMS}
+    for claim in CLAIMS:
+        try:
+            rows.append(judged(claim, sources(first[tuple(claim.names)])))
+        except BagError as error:
+            if failures is None:
+                raise
+            failures += [] if str(error) in failures else [str(error)]
+            paper = "" if claim.paper is None else f"{claim.paper:.{claim.decimals}f}"
+            about = claim.unit, f"Cannot be judged: {error}", str(Verdict.OPEN), ", ".join(claim.names)
+            rows.append(Row(claim.id, claim.text, paper, "", *about, {}))
+    return rows
 
 
 def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
-    """The row of one claim, from what it is read from."""
+    """The row of one claim, from what it is read from. Raises BagError if a flight lacks what the claim needs."""
     found = claim.judge(claim.paper, *sources)
     paper, ours = (
         "" if value is None or math.isnan(value) else f"{value:.{claim.decimals}f}"
@@ -151,6 +181,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge every claim and print the ledger; return the exit status. Raises BagError and JournalError."""
-    print(as_text(evaluate(options.data)))
-    return 0
+    """Judge every claim and print the ledger; return the exit status: 1 if claims could not be judged.
+
+    Raises BagError, JournalError: there is no such folder; a table is damaged.
+    """
+    if not options.data.is_dir():
+        raise BagError(f"{options.data}: no such folder; name that of the bags with --data")
+    failures: list[str] = []
+    print(as_text(evaluate(options.data, failures=failures)))
+    for sentence in failures:
+        print(f"fip: claims cannot be judged: {sentence}", file=sys.stderr)
+    return int(bool(failures))

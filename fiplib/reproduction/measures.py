@@ -25,12 +25,37 @@ CONVERGED = 0.05
 """Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
 
 
+def need(flight: Flight, *roles: str) -> None:
+    """Raise BagError if the flight does not hold a topic, or a single message of it; the sentence says which."""
+    for role in roles:
+        if (series := getattr(flight, role)) is None or len(series.stamp) < 2:
+            count = "no topic" if series is None else "one message only on"
+            raise BagError(f"{flight.path}: {count} {TOPICS[role]} ({role}), which this is read from")
+
+
 def states(flight: Flight) -> NDArray:
     """The states that the controller used, (n, 10). Raises BagError if its references are not there beside them."""
-    for role in ("state", "reference"):
-        if getattr(flight, role) is None:
-            raise BagError(f"{flight.path}: no topic {TOPICS[role]} ({role}), which the ledger is read from")
+    need(flight, "state", "reference")
+    if not np.array_equal(flight.state.stamp, flight.reference.stamp):
+        raise BagError(f"{flight.path}: its states and references do not have the same stamps, one for one")
     return flight.state.values
+
+
+class Circling(NamedTuple):
+    """The circle that a bag's metadata name as the reference: m, m, s."""
+
+    radius: float
+    height: float
+    period: float
+
+
+def circling(flight: Flight) -> Circling:
+    """Return the circle that the bag's metadata name. Raises BagError if they name none."""
+    try:
+        return Circling(*(float(flight.metadata["reference"][name]) for name in Circling._fields))
+    except (KeyError, TypeError, ValueError):
+        names = ", ".join(Circling._fields)
+        raise BagError(f"{flight.path}: its metadata name no circle as the reference ({names})") from None
 
 
 def lean(flight: Flight) -> NDArray:
@@ -83,6 +108,8 @@ def laps(flight: Flight) -> Laps:
     """Read from the recorded reference alone. Raises BagError if it holds no whole lap."""
     states(flight)
     path, time = flight.reference.values[:, [X, Y]], flight.time(flight.reference)
+    if not path.any():
+        raise BagError(f"{flight.path}: its reference makes no whole circle at full speed")
     turned = np.unwrap(np.arctan2(path[:, 1], path[:, 0]))
     rate = np.gradient(turned, time)
     period = float(2 * math.pi / abs(rate[-1])) if rate[-1] else math.inf
@@ -108,7 +135,7 @@ def x_response(flight: Flight) -> tuple[float, float]:
 def used_length(flight: Flight) -> tuple[NDArray, NDArray]:
     """Times (n,) in s at which a length was set, and the lengths (n,) in m. Raises BagError if there are none."""
     if flight.length is None:
-        raise BagError(f"{flight.path}: no topic {TOPICS['length']}, which says which length was used")
+        raise BagError(f"{flight.path}: no topic {TOPICS['length']} (length), which says which length was used")
     return flight.time(flight.length), flight.length.column("used")
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fiplib.params import FipError
+from fiplib.reproduction import stored
+from fiplib.reproduction.stored import JournalError
 
 if TYPE_CHECKING:
     from fiplib.recording import Flight
@@ -30,10 +31,6 @@ BENCHMARKS = {
 
 RESULTS = ("results", "growth")
 """Those of them that have several columns: ``Rows``, and not ``Quantities``."""
-
-
-class JournalError(FipError):
-    """A damaged table on disk."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +61,14 @@ class Sources:
         found += [data / "sweeps" / f"{study}.csv" for study in self.studies]
         return found + [data.parent / "benchmarks" / f"{table}.csv" for table in self.benchmarks]
 
-    def read(self, data: Path = Path("data")) -> "list[Flight | Rows | Quantities]":
+    def read(
+        self, data: Path = Path("data"), check: Callable[[str, Rows], object] = lambda *_: None
+    ) -> "list[Flight | Rows | Quantities]":
         """Read all of it: bags, then studies, then benchmarks, in order; a table that does not exist yet is empty.
+
+        Args:
+            data: the folder of the bags.
+            check: gets the name of each study and its rows, and raises if they are not those of its cases.
 
         Raises:
             BagError, JournalError: a bag is missing, or something is damaged.
@@ -74,6 +77,8 @@ class Sources:
 
         flights = [bags.read(data / bag) for bag in self.bags]
         tables = [read(study, data) for study in self.studies]
+        for study, rows in zip(self.studies, tables, strict=True):
+            check(study, rows)
         return flights + tables + [measured(name, data) for name in self.benchmarks]
 
 
@@ -93,28 +98,14 @@ class Product(Sources):
 
 
 def read(study: str, data: Path = Path("data")) -> Rows:
-    """Return the finished table of a study; empty where ``make sweep`` has not completed it yet."""
-    return _rows(data / "sweeps" / f"{study}.csv")
+    """Return the finished table of a study; empty where ``make sweep`` has not completed it. Raises JournalError."""
+    return stored.numbers(data / "sweeps" / f"{study}.csv", f"make sweep STUDIES='{study} --fresh'")
 
 
 def measured(name: str, data: Path = Path("data")) -> Rows | Quantities:
     """Return a table of ``benchmarks/``, which lies beside the folder ``data``; empty where there is none yet."""
     path = data.parent / "benchmarks" / f"{name}.csv"
-    return _rows(path) if name in RESULTS else quantities(path)
-
-
-def _rows(path: Path) -> Rows:
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{column: _number(value) for column, value in row.items()} for row in csv.DictReader(file)]
-
-
-def _number(value: str) -> float | str:
-    try:
-        return float(value)
-    except ValueError:
-        return value
+    return stored.numbers(path, BENCHMARKS[name]) if name in RESULTS else quantities(path, BENCHMARKS[name])
 
 
 def csv_text(rows: Iterable[Iterable[str]]) -> str:
@@ -124,15 +115,13 @@ def csv_text(rows: Iterable[Iterable[str]]) -> str:
     return text.getvalue()
 
 
-def quantities(path: Path) -> Quantities:
-    """Return the numbers of a benchmark's table of two columns; empty if there is no such file. Raises JournalError."""
-    if not path.exists():
-        return {}
+def quantities(path: Path, again: str = "make bench") -> Quantities:
+    """Return the numbers of a benchmark's table of two columns; empty if there is no such file. Raises JournalError.
+
+    ``again`` is the command that makes the table.
+    """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            next(lines := csv.reader(file))
-            return {name: float(value) for name, value in lines}
-    except (StopIteration, ValueError) as error:
-        raise JournalError(
-            f"{path}: needs a header and rows of a name and a number ({error}); measure again"
-        ) from error
+        return {name: float(value) for name, value in (row.values() for row in stored.rows(path, again))}
+    except ValueError as error:
+        problem = f"{path}: needs a header and rows of a name and a number ({error})"
+        raise JournalError(f"{problem}; measure again: {again}") from error

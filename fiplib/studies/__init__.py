@@ -16,9 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fiplib.reproduction.sources import read
+from fiplib.reproduction.stored import JournalError
+from fiplib.studies.journal import text
 
 if TYPE_CHECKING:
     from fiplib.recording import Flight
+    from fiplib.reproduction.sources import Rows
     from fiplib.reproduction.tables import Facts
     from fiplib.simulate import Scenario
 
@@ -37,11 +40,15 @@ STUDIES = {
     "ablation": "fiplib.studies.ablation",
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
+    "observers": "fiplib.studies.observers",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses", "ablation")
+FACTS = (
+    *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
+    *("seat", "poses", "observers", "ablation"),
+)
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 
@@ -55,13 +62,25 @@ def run(address: str, case: dict) -> dict:
     return load(address).run(case)
 
 
+def check(name: str, rows: "Rows") -> None:
+    """Raise JournalError unless the rows of a finished table, if there are any, are those of the study's cases."""
+    study = load(STUDIES[name])
+    wanted = {tuple(text(case[key]) for key in study.KEYS) for case in study.cases()}
+    found = [tuple(text(row.get(key, "")) for key in study.KEYS) for row in rows]
+    if rows and (len(found) != len(wanted) or set(found) != wanted):
+        counts = f"{len(wanted - set(found))} of {len(wanted)} cases are missing"
+        counts += f", {len(found) - len(wanted & set(found))} rows are of no case or repeated"
+        again = f"make sweep STUDIES='{name} --fresh'"
+        raise JournalError(f"the table of the study {name} is not that of its cases ({counts}): make it with: {again}")
+
+
 def facts(data: Path = Path("data")) -> "Facts":
     """Return what the report states of the studies in ``FACTS``; a study that is not complete has nothing to state."""
     return {
-        (study, *words): text
+        (study, *words): found
         for study in FACTS
         if (rows := read(study, data))
-        for words, text in load(STUDIES[study]).facts(rows).items()
+        for words, found in load(STUDIES[study]).facts(rows).items()
     }
 
 

@@ -183,7 +183,7 @@ def judged(rows: Rows, data: str, model: str, search: str) -> Judged:
     )
 
 
-def table15_ablation(rows: Rows) -> Table:
+def table16_ablation(rows: Rows) -> Table:
     """Table 15: bias, RMS error, coverage and cost of every combination of data, model and search."""
     lines, names = [], {"ga": "GA", "grid": "grid", "brent": "Brent"}
     for data, model, search in ARMS:
@@ -200,8 +200,8 @@ def table15_ablation(rows: Rows) -> Table:
     return Table(header, lines, "lllrrrr")
 
 
-def fig18_ablation(rows: Rows) -> Figure:
-    """Fig. 18: RMS error of every combination of data, model and search, by rod, with intervals over seeds."""
+def fig19_ablation(rows: Rows) -> Figure:
+    """Fig. 19: RMS error of every combination of data, model and search, by rod, with intervals over seeds."""
     figure = Figure(figsize=(COLUMN, 2.6), layout="constrained")
     panels = figure.subplots(1, len(RODS), sharey=True, sharex=True)
     kinds = list(itertools.product(DATA, MODELS))

@@ -14,6 +14,7 @@ import numpy as np
 
 from fiplib.estimators.windows import SAMPLERS
 from fiplib.mpc import MPC, STATUSES, Status
+from fiplib.observers import Observer
 from fiplib.params import NANO
 from fiplib.pilot import Pilot, estimator_of, least_period
 from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, flight_of
@@ -134,17 +135,15 @@ class _Compiled:
         self._plant = (plant.x, vehicle.plant_constants(params), schedule, simulated.mocap(count).noise, forces)
         self._plan = (self.ticks, acts, elapsed, tick_elapsed, self.references)
         loops = piloting.pilot_constants(params, scenario.reference.height)
-        self._pilot = (params.piloting.velocity_cutoff, np.zeros(10), loops, np.zeros(2))
+        observer = Observer(params)
+        self._pilot = (observer.constants, observer.memory, loops, np.zeros(2))
         self._written = (self.frames, self.truths, self.states, self.commands, self.statuses)
-        self._seat = params.piloting.seat_height
-        self._position = params.piloting.pendulum_measurement == "position"
         self._kernel, self._mpc = flight.fly, MPC(params)
 
     def fly(self, first: int, last: int, length: float) -> tuple[bool, int]:
         """Fly the frames ``first`` to ``last`` - 1 with a length in use, m; whether it fell, and the next frame."""
-        used = 0.0 if self._position else length
         answer = (*self._pilot, *self._mpc.prepared(length))
-        reached = self._kernel(first, last, *self._plant, *self._plan, self._seat, used, *answer, *self._written)
+        reached = self._kernel(first, last, *self._plant, *self._plan, length, *answer, *self._written)
         if self.statuses.min(initial=0) < 0:
             raise ValueError("state must be finite")
         return reached < last, min(reached + 1, last)

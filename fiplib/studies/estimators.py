@@ -25,7 +25,7 @@ from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
-from fiplib.recording import Flight
+from fiplib.recording import BagError, Flight
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin
@@ -205,6 +205,7 @@ def fig10_intervals(flight: Flight) -> Figure:
     """Fig. 10: the pose estimator with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
     from fiplib.estimators.poses.in_flight import InFlight  # compiled code: half a second to import
 
+    measures.need(flight, "length")
     figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
     axes = figure.subplots()
     found = []
@@ -212,6 +213,8 @@ def fig10_intervals(flight: Flight) -> Figure:
         estimate = InFlight()(window, flight.params)
         if estimate.reason is None:
             found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
+    if not found:
+        raise BagError(f"{flight.path}: no window of it gives a length")
     times, lengths, deviations = np.array(found).T
     recorded = flight.length.values[1:, 1]
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")

@@ -4,14 +4,14 @@ A table is a CSV file whose first columns, the keys, identify a case. It is read
 computed in one session and what comes from the file in the next are the same characters.
 """
 
-import csv
-import io
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fiplib.reproduction.sources import JournalError, csv_text
+from fiplib.reproduction import stored
+from fiplib.reproduction.sources import csv_text
+from fiplib.reproduction.stored import JournalError
 
 
 def text(value: Any) -> str:
@@ -48,13 +48,16 @@ class Journal:
     def _read(self, file: Path) -> None:
         if not file.exists():
             return
-        whole, newline, _torn = file.read_text(encoding="utf-8", errors="replace").rpartition("\n")
-        rows = list(csv.reader(io.StringIO(whole + newline)))
-        if not rows:
-            return
+        try:
+            text = stored.content(file)
+            if file == self.partial:
+                text = "".join(text.rpartition("\n")[:2])  # without the line that a kill has torn
+                if text.count("\n") < 2:
+                    return
+            rows = stored.parsed(text)
+        except ValueError as error:
+            raise JournalError(f"{file} is damaged ({error}): restore it, or start anew with --fresh") from error
         self._check(rows[0], file)
-        if any(len(row) != len(self.columns) for row in rows):
-            raise JournalError(f"{file} is damaged: not every row has {len(self.columns)} columns; --fresh starts anew")
         self.rows.update({tuple(row[: len(self._keys)]): csv_text([row]) for row in rows[1:]})
 
     def _check(self, columns: list[str], source: object) -> None:
@@ -97,6 +100,7 @@ class Journal:
             temporary = self.path.with_suffix(".new")
             temporary.write_bytes(content)
             os.replace(temporary, self.path)
+            stored.record([self.path])
         self.partial.unlink(missing_ok=True)
         self._begun = False
 

@@ -163,9 +163,9 @@ def run(options: argparse.Namespace, known: Mapping[str, str] = studies.STUDIES)
 
     Raises FipError, ClusterError, JournalError: a mistake of the user, or a cluster that was lost.
     """
-    names = list(known) if options.all or options.list else list(dict.fromkeys(options.names))
-    if unknown := [name for name in names if name not in known]:
+    if unknown := [name for name in options.names if name not in known]:
         raise FipError(f"unknown study {', '.join(unknown)}; there are {', '.join(known)}")
+    names = list(known) if options.all or options.list else list(dict.fromkeys(options.names))
     if not names:
         raise FipError(f"name a study ({', '.join(known)}), or --all")
     for option, value in (("limit", options.limit), ("workers", options.workers)):

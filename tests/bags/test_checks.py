@@ -99,6 +99,17 @@ def test_a_flight_that_is_tracked_all_along_stays_the_same_object(flight):
     assert not any(part.any() for out in lost(flight) for part in out)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 70])
+def test_a_few_poses_are_no_error(flight, count):
+    """A stretch of a longer flight may hold none of one body."""
+    few = dataclasses.replace(flight, pendulum=dataclasses.replace(
+        flight.pendulum,
+        **{name: getattr(flight.pendulum, name)[:count] for name in ("stamp", "received", "position", "orientation")},
+    ))  # fmt: skip
+    assert not any(one.refuses and one.cure for one in findings(few))
+    assert len(tracked(few).pendulum.stamp) == count
+
+
 def test_a_gap_of_one_body_leaves_the_longest_stretch(flight):
     rod = flight.pendulum
     keep = (flight.time(rod) < 5.0) | (flight.time(rod) > 7.0)

@@ -479,7 +479,8 @@ def test_damaged_is_said_of_what_is_damaged_alone(bag: Path, tmp_path: Path) -> 
         for task, words in ((read, read_says), (recover, recover_says)):
             with pytest.raises(BagError, match=words) as caught:
                 task(tmp_path / path)
-            assert "damaged" not in str(caught.value) and "\n" not in str(caught.value), (path, task)
+            said = str(caught.value).replace(str(tmp_path), "")
+            assert "damaged" not in said and "\n" not in said, (path, task)
     assert not list(tmp_path.glob("*-recovered"))
 
 

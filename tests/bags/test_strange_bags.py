@@ -245,7 +245,7 @@ NEIGHBOURS = {
         "up axis", "--up y --swap", True, {"up": "y", "swap": True},
     ),
     "frame-tilted-5-deg": Case(both(seen("x", 5))),
-    "frame-tilted-20-deg": Case(both(seen("x", 20)), "estimator", "leans by 21 deg", True),
+    "frame-tilted-20-deg": Case(both(seen("x", 20)), "estimator", "leans by 20 deg on average", True),
     "left-handed": Case(
         both(lambda body: body._replace(position=body.position * [1, -1, 1])), "attitude", "left-handed", True
     ),
@@ -279,6 +279,10 @@ NEIGHBOURS = {
         rod(lambda body: body.later(0.02)), "clocks", "20 ms late", True, {"stamps": "log"}
     ),
     "rod-20ms-late": Case(rod(lambda body: body.later(0.02, 0.02)), "clocks", "20 ms late", True),
+    "first-stamp-zero": Case(
+        both(lambda body: body._replace(stamp=np.where(np.arange(len(body.stamp)) > 0, body.stamp, 0))), "tracking",
+        "is used alone",
+    ),
     "vehicle-without-stamps": Case(
         vehicle(lambda body: body._replace(stamp=0 * body.stamp)), "clocks", "4 ms early", True, {"stamps": "log"}
     ),

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fiplib.estimators.base import Estimate
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.in_flight import InFlight, body_of, knowledge_in_flight, profile_of
 from fiplib.estimators.poses.knowledge import Told
-from fiplib.estimators.windows import RawPoses, RawWindow
+from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle
 from fiplib.recording import Flight
@@ -104,14 +105,14 @@ def test_a_seat_that_is_stated_wrong_is_contradicted():
 def test_the_measured_distance_of_the_two_bodies_is_not_what_the_length_is_read_from():
     """Both rods move alike; the second one's points seem 2 cm further apart, as a wrong height of the mocap's would."""
     window = replay.raw_window_between(flown(), 3.0, 5.5)
-    raised = window.rod._replace(position=window.rod.position + np.array([0.0, 0.0, 0.02]))
+    raised = replace(window.rod, position=window.rod.position + np.array([0.0, 0.0, 0.02]))
     found, other = InFlight()(window, PARAMS), InFlight()(RawWindow(window.vehicle, raised), PARAMS)
     assert other.length == pytest.approx(found.length, abs=0.2 * found.standard_deviation)
 
 
 def test_a_window_without_a_body_is_refused_with_the_reason():
     window = windows()[0]
-    nothing = RawPoses(*(column[:0] for column in window.rod))
+    nothing = window.rod.part(np.zeros(0, dtype=int))
     with pytest.raises(ValueError, match="poses of both bodies"):
         InFlight()(RawWindow(window.vehicle, nothing), PARAMS)
 

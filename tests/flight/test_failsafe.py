@@ -648,6 +648,67 @@ def test_an_exception_in_the_pilot_is_survived():
     assert "ZeroDivisionError" in guard.transitions[2].reason and stream.sent[-1].armed
 
 
+# --- what is given that is not what is asked for
+
+TIMES = (None, math.nan, math.inf, -1, 1.5, "now", 10**40, True)
+CALLS = {
+    "frame": lambda guard, now: guard.frame(now, Stream(guard).pose()),
+    "tick": lambda guard, now: guard.tick(now),
+    "arm": lambda guard, now: guard.arm(now),
+    "solve_took": lambda guard, now: guard.solve_took(now, 0.001),
+    "abort": lambda guard, now: guard.abort(now, "operator abort"),
+    "receive_estimate": lambda guard, now: guard.receive_estimate(now, 1.0),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_what_is_no_time_is_one_value_error_and_changes_nothing(name):
+    guard, stream = flying()
+    for now in TIMES:
+        with pytest.raises(ValueError, match="a time must be an integer in ns"):
+            CALLS[name](guard, now)
+    assert guard.mode is Mode.FLYING and guard.ended is None
+    stream.feed(0.1)
+    assert guard.mode is Mode.FLYING and stream.sent[-1].command is not None
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda guard, now: guard.solve_took(now, None),
+        lambda guard, now: guard.solve_took(now, math.nan),
+        lambda guard, now: guard.solve_took(now, -1.0),
+        lambda guard, now: guard.abort(now, None),
+        lambda guard, now: guard.abort(now, ""),
+        lambda guard, now: Guard(None),
+        lambda guard, now: Guard(guard.pilot, None),
+    ],
+)
+def test_a_misuse_of_the_guard_is_one_value_error(call):
+    guard, stream = flying()
+    with pytest.raises(ValueError) as caught:
+        call(guard, stream.now)
+    assert caught.type is ValueError and guard.mode is Mode.FLYING
+
+
+@pytest.mark.parametrize("frame", [None, (), 7, "lost", (1, 2), [None] * 5, np.zeros((5, 3)), (0, *[np.zeros(4)] * 4)])
+def test_what_is_no_frame_is_refused_as_a_malformed_one(frame):
+    guard, stream = flying()
+    guard.frame(stream.now + FRAME, frame)
+    assert guard.refused == {"malformed frame": 1} and guard.accepted is None
+    stream.feed(0.1)
+    assert guard.mode is Mode.FLYING
+
+
+@pytest.mark.parametrize(
+    ("length", "deviation"), [(None, 0.1), ("long", 0.1), (np.zeros(2), 0.1), (1.0, None), (True, 0.1)]
+)
+def test_what_is_no_estimate_is_refused_and_noted(length, deviation):
+    guard, stream = flying()
+    assert guard.receive_estimate(stream.now, length, deviation) == 1.0
+    assert guard.notes[-1].text.startswith("absurd estimate refused")
+
+
 # --- the estimator
 
 
@@ -916,3 +977,10 @@ def test_an_aborted_flight_comes_down_level_and_slowly():
     assert guard.ended == "landed" and link.vehicle.plant.x[2] - scenario.params.seat_above_tracked < 0.25
     # half a second after the abort it is level to 3 deg, and sinks at the 0.5 m/s asked for, to the lag of the motors
     assert steepest < math.radians(3.0) and -0.7 < fastest < -0.2
+
+
+def test_the_kalman_observer_flies_behind_the_failsafe_and_over_a_gap():
+    guard, stream = flying(PARAMS.replace(piloting__observer="kalman"))
+    stream.silence(0.1)
+    stream.feed(1.0)
+    assert guard.mode is Mode.FLYING and guard.ended is None

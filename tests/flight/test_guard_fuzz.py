@@ -214,6 +214,7 @@ def shortened(seed: int, calls: list[Call]) -> list[Call]:
     return calls
 
 
+@pytest.mark.fuzz
 def test_whatever_is_called_the_failsafe_answers_finite_bounded_setpoints_or_one_value_error():
     end, seed = time.monotonic() + BUDGET, SEED
     while seed < SEED + 3 or time.monotonic() < end:

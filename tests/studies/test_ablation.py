@@ -75,7 +75,7 @@ def row(length: float, error: float, **more: float) -> dict:
 
 def test_the_table_has_every_combination_with_intervals():
     rows = [row(length, error) for length in study.RODS for error in (-0.01, 0.0, 0.01)]
-    table = study.table15_ablation(rows)
+    table = study.table16_ablation(rows)
     assert len(table.rows) == len(study.ARMS) == 12
     bias, rmse, covered, cost = table.rows[0][3:]
     assert "0.00 (" in bias and rmse.startswith("0.82 (") and cost == "11"

@@ -13,6 +13,7 @@ from fiplib.studies import batch
 
 SHORT = Params().replace(piloting__estimate=True, estimation__window=20, estimation__generations=3)
 TRUSTED = SHORT.replace(piloting__handover="trusted", estimation__estimator="poses", pendulum__gyration_ratio=1 / 12)
+KALMAN = Params().replace(piloting__observer="kalman")
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
 
 FLIGHTS = {
@@ -29,6 +30,12 @@ FLIGHTS = {
     "the rod falls": Scenario("", "", 3.0, Hover(), pushes=(Push(0.5, (0.1, 0.0)), Push(2.5, (0.1, 0.0)))),
     "the rod's direction": Scenario(
         "", "", 2.0, CIRCLE, params=Params().replace(piloting__pendulum_measurement="direction")
+    ),
+    "Kalman observer": Scenario(
+        "", "", 4.0, CIRCLE, params=KALMAN, pushes=(Push(0.5, (0.012, 0.0)),), told_lengths=((1.5, 0.8),)
+    ),
+    "Kalman observer of the rod's direction": Scenario(
+        "", "", 2.0, CIRCLE, params=KALMAN.replace(piloting__pendulum_measurement="direction")
     ),
     "other rates": Scenario(
         "", "", 2.0, CIRCLE, params=Params().replace(piloting__control_rate=100.0, simulation__mocap_latency=0.0)

@@ -10,11 +10,12 @@ import pytest
 from fiplib.params import NANO
 from fiplib.recording import Measurement
 from fiplib.studies.faults import campaign, injection
-from fiplib.studies.faults.judging import DISARM_SECONDS, Fault, judge
+from fiplib.studies.faults.judging import DISARM_SECONDS, Fault, judge, judge_landing
+from fiplib.studies.faults.virtual import PHASES, VIRTUAL_FAULTS
 
 ROOT = Path(__file__).parents[2]
 with (ROOT / "data/faults.csv").open(newline="", encoding="utf-8") as file:
-    ROWS = {row["fault"]: row for row in csv.DictReader(file)}
+    ROWS = {(row["fault"], row["phase"]): row for row in csv.DictReader(file)}
 
 
 def frames(count: int) -> list[tuple[float, Measurement]]:
@@ -93,26 +94,30 @@ def test_random_faults_depend_on_their_generator_alone():
 # --- part of the campaign, flown again
 
 FLOWN = (
-    "drop-out-80ms", "drop-out-300ms", "bursts-60ms", "stamps-jitter", "frames-reversed", "clock-backward", "nan-80ms",
-    "outlier-tenth", "swap-for-good", "frozen-for-good", "solver-raises-pushed", "solver-hangs-250ms", "estimate-wild",
-    "length-jump-up", "deaf-50ms", "deaf-1s", "abort-circle", "push-far",
+    ("drop-out-80ms", "landing"), ("drop-out-300ms", "circle"), ("bursts-60ms", "hover"), ("stamps-jitter", "hover"),
+    ("frames-reversed", "arming"), ("clock-backward-30ms", "hover"), ("nan-80ms", "circle"),
+    ("outlier-tenth", "arming"), ("swap-for-good", "hover"), ("swap-for-good", "landing"),
+    ("frozen-for-good", "arming"), ("attitude-once", "landing"),
+    ("solver-raises-pushed", "hover"), ("solver-hangs-250ms", "circle"), ("estimate-wild", "circle"),
+    ("length-jump-up", "circle"), ("deaf-50ms", "landing"), ("deaf-1s", "hover"), ("abort", "circle"),
+    ("push-far", "hover"),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FLOWN)
-def test_an_injected_fault_ends_as_the_table_says_and_meets_the_target(name):
-    row = campaign.FAULTS[name].fly()
-    assert row["verdict"].startswith("met:") and row["uncaught_exception"] == "no" and row["bag"] == "valid"
+@pytest.mark.parametrize(("name", "phase"), FLOWN)
+def test_an_injected_fault_ends_as_the_table_says_and_meets_the_target(name, phase):
+    row = campaign.FAULTS[name].fly(phase)
+    assert not row["verdict"].startswith("NOT MET") and row["uncaught_exception"] == "no"
     assert row["not_finite"] == row["out_of_bounds"] == 0
-    assert float(row["disarm_s"]) >= DISARM_SECONDS and float(row["longest_gap_ms"]) < 25.0
-    assert {key: str(value) for key, value in row.items()} == {
-        key: value for key, value in ROWS[name].items() if key != "fault"
-    }
+    if row["vehicle"] != "not armed":
+        assert row["bag"] == "valid"
+        assert float(row["disarm_s"]) >= DISARM_SECONDS and float(row["longest_gap_ms"]) < 25.0
+    assert {"fault": name, "phase": phase, **{key: str(value) for key, value in row.items()}} == ROWS[name, phase]
 
 
 @pytest.mark.realtime
 def test_a_killed_pilot_is_survived_by_the_commands_and_by_the_recording():
-    row = campaign.FAULTS["kill-pilot"].fly()
+    row = campaign.FAULTS["kill-pilot"].fly("hover")
     assert row["verdict"].startswith("met: ended safely") and row["bag"] == "valid"
     assert row["disarm_s"] == ">=0.5" and row["not_finite"] == row["out_of_bounds"] == 0
 
@@ -137,12 +142,41 @@ def test_a_verdict_hides_no_flight_that_falls_short(flight, expected):
     assert judge(*flight).startswith(expected)
 
 
-def test_the_table_has_every_fault_and_names_those_that_fall_short():
-    assert list(ROWS) == list(campaign.FAULTS) and len(ROWS) >= 25
+@pytest.mark.parametrize(
+    ("flight", "expected"),
+    [
+        ((False, True, True, "landed", False, ""), "NOT MET: exception"),
+        ((True, False, True, "landed", False, ""), "NOT MET: in danger"),
+        ((True, False, True, "landed", True, ""), "met: ended disarmed, no command got through"),
+        ((True, True, True, "landed", False, ""), "met: landed"),
+        ((True, True, False, "landed", False, ""), "NOT MET: disarmed in the air: landed"),
+        ((True, True, False, "pose 500 ms old (bodies swapped)", False, ""), "by design: disarmed level in the air"),
+        (
+            (True, True, False, "levelled for 6 s", False, ""),
+            "by design: disarmed level in the air, as the limit of 6 s",
+        ),
+        ((True, True, False, "operator abort", False, "the operator"), "met: ended safely, as the operator demands"),
+    ],
+)
+def test_a_verdict_hides_no_landing_that_falls_short(flight, expected):
+    assert judge_landing(*flight).startswith(expected)
+
+
+def test_the_table_has_every_fault_in_every_phase_and_names_those_that_fall_short():
+    assert list(ROWS) == [(name, phase) for name, fault in campaign.FAULTS.items() for phase in fault.phases]
+    everywhere = {name for name, fault in campaign.FAULTS.items() if fault.phases == tuple(PHASES)}
+    # every fault of poses and commands but those that come with a push of their own
+    assert everywhere >= {
+        name
+        for name, fault in VIRTUAL_FAULTS.items()
+        if fault.group in ("poses", "link", "operator") and not name.endswith("-pushed")
+    }
     # a fault that falls short is named here, and docs/faults.md says why
-    assert [name for name, row in ROWS.items() if row["verdict"].startswith("NOT MET")] == []
+    assert [case for case, row in ROWS.items() if row["verdict"].startswith("NOT MET")] == []
     assert all(row["uncaught_exception"] == "no" for row in ROWS.values())
     assert all(row["not_finite"] == row["out_of_bounds"] == "0" for row in ROWS.values())
+    landings = [float(row["largest_tilt_deg"]) for (_, phase), row in ROWS.items() if phase == "landing"]
+    assert max(landings) < 30.0
 
 
 def test_the_page_shows_the_table():
@@ -167,7 +201,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path):
     flown = []
 
     class Interrupted(Fault):
-        def fly(self):
+        def fly(self, phase):
             flown.append(self.what)
             if len(flown) == 2:
                 raise KeyboardInterrupt
@@ -185,4 +219,4 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path):
 def test_the_command_says_what_has_become_of_each_fault(tmp_path, capsys):
     assert run("push-strong", "--output", tmp_path / "some.csv") == 0
     said = capsys.readouterr().out
-    assert "met: recovered" in said and f"1 faults: 1 met; wrote {tmp_path / 'some.csv'}" in said
+    assert "met: recovered" in said and f"1 cases: 1 met; wrote {tmp_path / 'some.csv'}" in said

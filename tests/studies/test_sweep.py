@@ -268,9 +268,9 @@ def test_the_table_does_not_depend_on_the_order_of_arrival(serial, tmp_path, exp
     ("content", "complaint"),
     [
         ("length,lean\n1,2\n", "has the columns length, lean where the study has length, seed"),
-        ("length,seed,lean\n1,2\n", "is damaged: not every row has 3 columns"),
+        ("length,seed,lean\n1,2\n", r"is damaged \(row 2 has not 3 cells\)"),
         ("length,seed,lean\n1,2,3\n\n1,3,3\n", "is damaged"),
-        ("\0\0\0\n", "has the columns"),
+        ("\0\0\0\n", r"is damaged \(control characters\)"),
     ],
     ids=["other columns", "short row", "empty line", "not a table"],
 )

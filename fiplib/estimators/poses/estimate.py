@@ -13,7 +13,7 @@ from fiplib.estimators.poses.checks import Refusal
 from fiplib.estimators.poses.filter import HC, LE, MU, ND, NR, NT, NV, OFFSET, H, R
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem, Value, inertia_factor_of
 from fiplib.estimators.poses.knowledge import ANY_OFFSET, UNIFORM, Knowledge, Told, assumptions
-from fiplib.estimators.poses.rows import Body, cleaned, rows_of, upright_axis, without_jumps
+from fiplib.estimators.poses.rows import Body, checked, cleaned, rows_of, upright_axis, without_jumps
 from fiplib.recording import Flight
 
 LARGEST_DOUBT = 3.0
@@ -121,6 +121,7 @@ def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
 
 def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str]) -> Problem:
     """Return what is to be fitted to the poses of two bodies; ``notes`` take what was left out. Raises Refusal."""
+    vehicle, rod = checked(vehicle), checked(rod)
     if vehicle.position is None or (rod.position is None and rod.axis is None):
         raise ValueError("an estimate needs the vehicle's positions, and the rod's positions or axes")
     given = len(vehicle.time), len(rod.time)

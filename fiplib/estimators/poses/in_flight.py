@@ -97,8 +97,7 @@ class InFlight:
         self._full, self._stream = False, None
 
     def _fresh(self, body: RawPoses, seen: int) -> Body:
-        kept = body.stamp > seen
-        return body_of(RawPoses(*(column[kept] for column in body)), self._origin)
+        return body_of(body.part(body.stamp > seen), self._origin)
 
     def _answer(self, stream: Stream, knowledge: Knowledge) -> Estimate:
         """The stream's length, unless something speaks against it."""

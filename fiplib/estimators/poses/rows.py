@@ -35,6 +35,20 @@ class Body(NamedTuple):
         return Body(*(None if column is None else column[keep] for column in self))
 
 
+def checked(body: Body) -> Body:
+    """Return the body with its columns as arrays of numbers. Raises ValueError: it is none, or of other shapes."""
+    try:
+        columns = [None if column is None else np.asarray(column, dtype=float) for column in body]
+        time = columns[0]
+        good = time is not None and time.ndim == 1 and len(columns) == 3
+        good = good and all(column is None or column.shape == (len(time), 3) for column in columns[1:])
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ValueError("a body takes a time (n,), and position and axis (n, 3) or None, all of them numbers")
+    return Body(*columns)
+
+
 def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
     """Return the axis (n, 3) of a body that points up on average, and the angle in rad from the body's z axis to it.
 
@@ -58,7 +72,7 @@ def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
 
 def cleaned(body: Body, name: str = "", notes: list[str] | None = None) -> Body:
     """Return the poses sorted by time, without those that are not finite or repeat a stamp; ``notes`` say so."""
-    columns = [None if column is None else np.asarray(column, dtype=float) for column in body]
+    columns = checked(body)
     time = columns[0]
     good = np.isfinite(time)
     for column in columns[1:]:

@@ -8,7 +8,6 @@ disturb; flights in virtual time take all cores.
 """
 
 import argparse
-import csv
 import gc
 import multiprocessing
 import os
@@ -20,6 +19,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from fiplib.reproduction import stored
 from fiplib.studies.faults.judging import Fault
 from fiplib.studies.faults.processes import PROCESS_FAULTS
 from fiplib.studies.faults.virtual import PHASES, VIRTUAL_FAULTS
@@ -116,9 +116,8 @@ def fly_virtual(fault: str, phase: str) -> dict[str, Any]:
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a finished table."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    """Return the rows of a finished table. Raises JournalError if it is damaged."""
+    return stored.rows(path, "fip faults --fresh")
 
 
 def counted(rows: Sequence[Mapping[str, str]]) -> Counter[str]:

@@ -22,7 +22,9 @@ LEVEL = math.radians(10.0)
 DISARM_SECONDS = 0.5
 """Level-and-disarm frames must last that long at the end of a flight: ExpressLRS and Betaflight need that, s."""
 DANGER = math.radians(30.0)
-"""A vehicle that tilts further while it lands is in danger, rad; in flight ``safety.max_tilt`` counts."""
+"""A vehicle that tilts further while it lands is in danger, rad."""
+ON_ITS_SIDE = Limits().safety.max_tilt + 0.1
+"""In flight, one that tilts further: the failsafe's own limit, and what the vehicle turns until it levels, rad."""
 LOW = Limits().safety.floor + 0.05
 """A vehicle that is disarmed below has landed, m."""
 SEAT = Params().seat_above_tracked

@@ -38,6 +38,7 @@ START = 2.0
 """Faults in flight begin at this time after take-off, s."""
 POSES = "the limit of 100 ms without poses"
 GONE = "the limit of 500 ms without poses"
+OLD = "the rule that poses with old stamps are not used"
 HOVER = Scenario("fault", "hover, pushed 3.2 s after the fault", 6.5, Hover(), (Push(START + 3.2, (0.004, 0.0)),))
 PUSHED = replace(HOVER, pushes=(Push(START + 0.02, (0.006, -0.003)),), description="hover, pushed during the fault")
 CIRCLE = replace(HOVER, reference=Circle(0.8, 9.0, start=0.2, ramp=1.5), pushes=(), description="circle of 0.8 m")
@@ -153,7 +154,7 @@ class VirtualFault(Fault):
         safe = not error and commands.safe and link.kept_back == 0 and bag == "valid"
         landing = link.phase == "landing"
         level = judging.tilt_of(stopped) < judging.LEVEL
-        level = level and tilt < (judging.DANGER if landing else LIMITS.safety.max_tilt)
+        level = level and tilt < (judging.DANGER if landing else judging.ON_ITS_SIDE)
         verdict = judging.judge(safe, balanced, level, perfect, gaps, self.demanded)
         if landing:
             low = stopped[10] - judging.SEAT < judging.LOW
@@ -339,10 +340,12 @@ def _poses(what: str, frames: Callable[[float, np.random.Generator], FrameFault]
     return VirtualFault("poses", what, frames=frames, **more)
 
 
-def _change(what: str, change: Change, seconds: float, every: int = 1, blind: bool = False) -> VirtualFault:
+def _change(
+    what: str, change: Change, seconds: float, every: int = 1, blind: bool = False, **more: Any
+) -> VirtualFault:
     """Frames changed for so many seconds; ``blind``: none that can be used arrives meanwhile."""
     gap = seconds if blind else 0.0
-    return _poses(what, lambda start, rng: inject.changed(change, start, seconds, every), blind=gap)
+    return _poses(what, lambda start, rng: inject.changed(change, start, seconds, every), blind=gap, **more)
 
 
 def _frozen(what: str, seconds: float, stamps: bool = False) -> VirtualFault:
@@ -402,14 +405,14 @@ VIRTUAL_FAULTS = {
     "stamps-jitter-5ms": _poses("stamps off by up to 5 ms, for 3 s",
                                 lambda start, rng: inject.changed(inject.jittered(5e-3, rng), start, 3.0)),
     "stamps-duplicated": _change("two frames share each stamp, for 3 s", inject.coarse(1 / 120), 3.0),
-    "stamps-constant": _change("one stamp for all frames, for 1 s", inject.stamped(EPOCH + NANO), 1.0),
+    "stamps-constant": _change("one stamp for all frames, for 1 s", inject.stamped(EPOCH + NANO), 1.0, demanded=OLD),
     "frames-reversed": _poses("each three frames in reverse order, for 2 s",
                               lambda start, rng: inject.turned_about(start, 2.0, 3)),
     "clock-forward": _change("stamps' clock steps 2 s forward and stays", inject.stepped(2.0), ALWAYS),
-    "clock-backward": _change("stamps' clock steps 3 s backward and stays", inject.stepped(-3.0), ALWAYS),
+    "clock-backward": _change("stamps' clock steps 3 s backward and stays", inject.stepped(-3.0), ALWAYS, demanded=OLD),
     "clock-forward-30ms": _change("stamps' clock steps 30 ms forward", inject.stepped(0.03), ALWAYS),
     "clock-backward-30ms": _change("stamps' clock steps 30 ms backward", inject.stepped(-0.03), ALWAYS),
-    "stamps-zero": _change("stamps of zero for 1 s", inject.stamped(0), 1.0),
+    "stamps-zero": _change("stamps of zero for 1 s", inject.stamped(0), 1.0, demanded=OLD),
     "nan-once": _change("vehicle at NaN in one frame", inject.without("vehicle"), 0.0),
     "nan-every-other": _change("rod at NaN in every other frame", inject.without("pendulum"), 3.0, 2),
     "nan-80ms": _change("vehicle at NaN for 80 ms", inject.without("vehicle"), 0.08, blind=True),
