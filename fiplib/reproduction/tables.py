@@ -47,7 +47,7 @@ def number(value: float, decimals: int) -> str:
 
 def plain(cell: str) -> str:
     """A cell without LaTeX markup: ``$-$0.5`` is -0.5, ``$l_0$`` is l_0."""
-    for markup, text in {r"\,": " ", r"\%": "%", r"\times": "*", "$": ""}.items():
+    for markup, text in {r"\,": " ", r"\%": "%", r"\times": "*", r"\pm": "+-", "$": ""}.items():
         cell = cell.replace(markup, text)
     cell = re.sub(r"\\dot (\w)", r"\1_dot", cell)
     cell = re.sub(r"\\math\w+\{(\w+)\}", r"\1", cell)

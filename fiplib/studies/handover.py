@@ -204,7 +204,8 @@ def table8_handover(rows: Rows) -> Table:
                 continue
             late = (NONE,) * 3
             if policy != "told" and found.up:
-                late = f"{100 * found.right:.0f}", f"{found.mean_time:.2f}", f"{found.late_time:.2f}"
+                times = found.mean_time, found.late_time
+                late = f"{100 * found.right:.0f}", *(f"{one:.2f}" if math.isfinite(one) else NONE for one in times)
             kept = f"{100 * found.kept:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
             lines.append((
                 label, lengths, f"{found.flights}", f"{found.up}", kept if policy != "told" else NONE, *late,
