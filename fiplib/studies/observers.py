@@ -17,8 +17,7 @@ from scipy.stats import binomtest
 
 from fiplib.controllers import margins
 from fiplib.dynamics import z_axis
-from fiplib.estimators.cramer_rao import cramer_rao, motion
-from fiplib.estimators.likelihood import CALIBRATION
+from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import Body
