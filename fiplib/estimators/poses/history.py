@@ -60,14 +60,14 @@ def windows(flight: Flight, knowledge: Knowledge, most: int = MOST_WINDOWS) -> I
     count = max(1, min(most, int(flight.duration / SHORTEST)))
     seconds = flight.duration / count
     for index in range(count):
-        yield _estimated(flight, index * seconds, (index + 1) * seconds, knowledge)
+        yield between(flight, index * seconds, (index + 1) * seconds, knowledge)
 
 
 def growing(flight: Flight, knowledge: Knowledge) -> Iterator[Stretch]:
     """Estimate longer and longer stretches from the beginning of the flight; the last is the whole flight."""
     end = SHORTEST
     while end * GROWTH**0.5 < flight.duration:
-        yield _estimated(flight, 0.0, end, knowledge)
+        yield between(flight, 0.0, end, knowledge)
         end *= GROWTH
     yield Stretch(0.0, flight.duration, length_of_flight(flight, knowledge))
 
@@ -88,7 +88,8 @@ def series_of(flight: Flight, stretches: Iterator[Stretch]) -> Series:
     return Series.of("length", stamp, np.array(rows, dtype=float).reshape(-1, 3))
 
 
-def _estimated(flight: Flight, start: float, end: float, knowledge: Knowledge) -> Stretch:
+def between(flight: Flight, start: float, end: float, knowledge: Knowledge) -> Stretch:
+    """Estimate what lies between two times in s since the start of the flight."""
     bodies = {body: _part(flight, getattr(flight, body), start, end) for body in ("vehicle", "pendulum")}
     return Stretch(start, end, length_of(replace(flight, **bodies), knowledge))
 
