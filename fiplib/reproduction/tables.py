@@ -50,7 +50,7 @@ def columns(alignment: str) -> list[str]:
 
 
 def stacked(name: str, side: str) -> str:
-    """A column's name for LaTeX: a long one in two lines, broken at the space nearest to its middle, not in a formula."""
+    """A column's name for LaTeX: a long one in two lines, broken at the space nearest to its middle, in no formula."""
     spaces = [at for at, letter in enumerate(name) if letter == " " and name[:at].count("$") % 2 == 0]
     if len(plain(name)) <= STACKED or not spaces:
         return name
