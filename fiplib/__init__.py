@@ -31,9 +31,9 @@ _HOMES = {
     "refit": "fiplib.replay",
 }
 
-# One thread, if NumPy is not loaded yet, and in the processes started from here. The maximum-likelihood
-# estimator's QR decompositions are small, and on a busy machine OpenBLAS's threads wait for each other: beside two busy
-# cores a refit then takes half a minute. Nothing else here needs it, and no result depends on it but that estimator's.
+# One thread, if NumPy is not loaded yet, and in the processes started from here. The matrices
+# here are small, and on a busy machine OpenBLAS's threads wait for each other: beside two busy cores that takes most of
+# the time. Sums of matrix products may differ in their last bit with the number of threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

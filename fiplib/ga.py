@@ -13,6 +13,7 @@ The last population is not handed on: every run starts anew from uniformly drawn
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,7 +134,16 @@ def estimate(window: Window, params: Params, rng: np.random.Generator) -> Evolut
     Raises:
         ValueError: parameters that make no sense; see also ``kalman.fitness``.
     """
-    estimation = _checked(params.estimation)
+    estimation = params.estimation
+    likelihood = kalman.reading(estimation).score == "likelihood"
+    return evolve(lambda lengths: kalman.fitness(lengths, window, estimation), estimation, rng, likelihood)
+
+
+def evolve(
+    fitness_of: Callable[[NDArray], NDArray], estimation: Estimation, rng: np.random.Generator, likelihood: bool = True
+) -> Evolution:
+    """Minimise any fitness (C,) of lengths (C,) in m, as ``estimate`` does; ``likelihood`` says that it is -2 log L."""
+    estimation = _checked(estimation)
     chromosome = Chromosome.of(estimation)
     known = np.full(2**chromosome.bits, np.inf)  # the fitness of infeasible codes
     known[: chromosome.codes] = np.nan  # not yet filtered
@@ -145,13 +155,13 @@ def estimate(window: Window, params: Params, rng: np.random.Generator) -> Evolut
             parents = populations[generation - 1]
             codes[:] = breed(parents, known[parents], chromosome, estimation, rng)
         unseen = np.unique(codes[np.isnan(known[codes])])
-        known[unseen] = kalman.fitness(chromosome.length(unseen), window, estimation)
+        known[unseen] = fitness_of(chromosome.length(unseen))
     fitness = known[populations]
     best_codes = np.take_along_axis(populations, fitness.argmin(axis=1)[:, None], axis=1)[:, 0]
     best = best_codes[fitness.min(axis=1).argmin()]
     return Evolution(
         length=float(chromosome.length(best)),
-        standard_deviation=_standard_deviation(int(best), chromosome, window, estimation),
+        standard_deviation=_standard_deviation(int(best), chromosome, fitness_of) if likelihood else math.nan,
         fitness=float(known[best]),
         best_lengths=chromosome.length(best_codes),
         populations=chromosome.length(populations),
@@ -211,13 +221,13 @@ def mutate(bits: NDArray, rate: float, rng: np.random.Generator) -> NDArray:
     return bits ^ (rng.random(bits.shape) < rate)
 
 
-def _standard_deviation(best: int, chromosome: Chromosome, window: Window, estimation: Estimation) -> float:
+def _standard_deviation(best: int, chromosome: Chromosome, fitness_of: Callable[[NDArray], NDArray]) -> float:
     """sqrt(2 / f'') at the best code, as f = -2 log L; nan where that has no meaning."""
     below, above = best - CURVATURE_CODES, best + CURVATURE_CODES
-    if kalman.reading(estimation).score != "likelihood" or below < 0 or above >= chromosome.codes:
+    if below < 0 or above >= chromosome.codes:
         return math.nan
     lengths = chromosome.length(np.array([below, best, above]))
-    left, middle, right = kalman.fitness(lengths, window, estimation).tolist()
+    left, middle, right = fitness_of(lengths).tolist()
     curvature = (left - 2 * middle + right) / (CURVATURE_CODES * chromosome.resolution) ** 2
     return math.sqrt(2 / curvature) if 0 < curvature < math.inf else math.nan
 

@@ -45,6 +45,7 @@ PRODUCTS = {
     "fig16-coverage": Product("fiplib.studies.poses:fig16_coverage", studies=("poses",)),
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
+    "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -62,6 +63,7 @@ PRODUCTS = {
     "table13-coverage": Product("fiplib.studies.poses:table13_coverage", studies=("poses",)),
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
+    "table16-ablation": Product("fiplib.studies.ablation:table16_ablation", studies=("ablation",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
 from fiplib.estimators.poses.knowledge import Knowledge, Told
-from fiplib.estimators.windows import LEAD, SAMPLERS, RawSampler, RawSchedule, RawWindow, WindowSampler
+from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.observers import Observer
 from fiplib.params import NANO, STATES, Params
@@ -131,11 +131,12 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     """
     params = params or flight.params
     estimator, found = estimator_of(params), windows(flight, params)
+    function = estimator.function  # one for all windows: it may remember them
     overlap = SAMPLERS[estimator.kind](params).seconds / params.estimation.run_period
     policy, seed = HANDOVERS[params.piloting.handover](params, overlap), flight.metadata.get("seed", 0)
     stamps, rows = [flight.start_ns], [(policy.used, np.nan, np.nan)]
     for run, (stamp, window) in enumerate(found):
-        answer = estimator.function(window, params, np.random.default_rng([seed, run]))
+        answer = function(window, params, np.random.default_rng([seed, run]))
         length, deviation = answer.length, answer.standard_deviation
         stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
         rows.append((policy.update(length, deviation), length, deviation))
@@ -196,36 +197,31 @@ def raw_windows(
     """Windows of raw motion capture of a flight, for the estimators that take them.
 
     A window spans ``seconds``; the next one comes ``every`` s later, and overlaps it when that is shorter. Only what
-    lies between ``start`` and ``end``, in s since the start of the flight, is used. Raises BagError as ``windows``.
+    lies between ``start`` and ``end``, in s since the start of the flight, is used, and of that what both bodies have.
     """
-    command = _commands(flight, seconds)
-    last = np.searchsorted(flight.time(command), end, side="right")
-    sampler, found, given = RawSampler(seconds, flight.params.piloting.seat_height), [], 0
-    for now, measurement in measurements(flight):
-        if not start <= (measurement.stamp - flight.start_ns) / NANO <= end:
-            continue
-        sampler.push_frame(measurement)
-        while given < last and command.stamp[given] <= now:
-            sampler.push_command(int(command.stamp[given]), None, command.values[given, :3], command.values[given, 3])
-            given += 1
-        # half a millisecond of slack, so that a period of whole frames is not missed by rounding
-        if (not found or now - found[-1].stamp > every * NANO - 500_000) and (window := sampler.window()):
-            found.append(TimedWindow(now, window))
+    bodies = flight.vehicle, flight.pendulum
+    first = max(max(float(flight.time(body)[0]) for body in bodies), start)
+    last, found = min(min(float(flight.time(body)[-1]) for body in bodies), end), []
+    step = 0.5 / flight.params.piloting.mocap_rate  # of slack: a window holds the frame that begins it, not the next
+    for number in range(math.floor((last - first - seconds + 3 * step) / every) + 1):
+        begin = flight.start_ns + round((first + number * every - step) * NANO)
+        window = RawWindow.between(flight, begin, begin + round(seconds * NANO))
+        if all(len(body.stamp) for body in window):
+            arrived = flight.vehicle.received[flight.vehicle.stamp == window.vehicle.stamp[-1]]
+            found.append(TimedWindow(int(arrived[0]), window))
     return found
 
 
 def raw_window_between(flight: Flight, start: float, end: float) -> RawWindow:
-    """The window of raw motion capture of a stretch of flight, but for 0.02 s of frames lost at its ends.
-
-    Raises BagError if the bag holds no commands, ValueError if motion capture or commands have a gap there.
-    """
-    if not (found := raw_windows(flight, end - start - 0.02, 0.0, start, end)):
-        raise ValueError(f"needs motion capture all along the window, and commands from {LEAD:g} s before it")
-    return found[-1].window
+    """The window of raw motion capture of a stretch of flight. Raises ValueError if a body has no poses there."""
+    window = RawWindow.between(flight, *(flight.start_ns + round(seconds * NANO) for seconds in (start, end)))
+    if not all(len(body.stamp) for body in window):
+        raise ValueError("needs poses of both bodies within the window")
+    return window
 
 
 def _due(
-    flight: Flight, sampler: WindowSampler | RawSchedule, start: float = -math.inf, end: float = math.inf
+    flight: Flight, sampler: WindowSampler | RawSampler, start: float = -math.inf, end: float = math.inf
 ) -> Iterator[TimedWindow]:
     """The windows that a sampler has ready at the commands between two times in s, fed as in flight."""
     command, known = _commands(flight, -math.inf), states(flight)

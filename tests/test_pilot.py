@@ -122,9 +122,9 @@ def test_low_flight_is_answered_with_more_thrust_within_bounds():
 
 def flown(params: Params, seconds: float) -> list[tuple[float, object]]:
     """(time, window) of every run that falls due on a hover of that length."""
-    pilot, found = Pilot(params.replace(piloting__estimate=True), Hover()), []
+    pilot, found, rng = Pilot(params.replace(piloting__estimate=True), Hover()), [], np.random.default_rng(1)
     for index in range(round(240 * seconds)):
-        pilot.step(index * FRAME, frame(index * FRAME))
+        pilot.step(index * FRAME, frame(index * FRAME, offset=1e-4 * rng.normal(size=2)))
         if window := pilot.window_due():
             found.append((index / 240, window))
     return found
@@ -185,7 +185,7 @@ def test_outliers_absurd_and_non_finite_estimates_do_not_reach_the_controller():
     assert bounded.receive_estimate(-1.0) == PARAMS.estimation.length_min
 
 
-RAW = PARAMS.replace(estimation__estimator="maximum_likelihood")
+RAW = PARAMS.replace(estimation__estimator="poses")
 
 
 def test_an_estimator_of_raw_data_is_given_full_windows_at_control_ticks():
@@ -196,17 +196,31 @@ def test_an_estimator_of_raw_data_is_given_full_windows_at_control_ticks():
     np.testing.assert_allclose(np.diff(times), RAW.estimation.run_period, atol=1e-9)
     np.testing.assert_allclose(times * 120, np.round(times * 120), atol=1e-9)
     for _, window in found:
-        assert len(window.time) == pytest.approx(2.5 * 240, abs=2)
-        assert window.command_time[0] <= -LEAD + 2 / 240 and window.command_time[-1] <= window.time[-1] + 1 / 240
+        assert [len(body.stamp) for body in window] == pytest.approx([2.5 * 240] * 2, abs=2)
 
 
 def test_with_the_trusted_hand_over_raw_windows_come_early_and_grow():
     found = flown(RAW.replace(piloting__handover="trusted"), 4.0)
     times = np.array([time for time, _ in found])
-    spans = np.array([window.time[-1] for _, window in found])
+    spans = np.array([window.seconds for _, window in found])
     assert times[0] == pytest.approx(LEAD + RAW.estimation.first_raw_window, abs=2 / 240)
     np.testing.assert_allclose(np.diff(times), RAW.estimation.run_period, atol=1e-9)
     np.testing.assert_allclose(spans, np.minimum(times - LEAD, 2.5), atol=2 / 240)
+
+
+def test_a_pose_of_the_rod_that_comes_twice_counts_once():
+    pilot = Pilot(RAW.replace(piloting__estimate=True, piloting__handover="trusted"), Hover())
+    rng, offset, window = np.random.default_rng(1), np.zeros(2), None
+    for index in range(200):
+        if index % 3:  # every third frame repeats the pose before
+            offset = 1e-4 * rng.normal(size=2)
+        one, other = (
+            frame(index * FRAME, 0.001 * rng.normal(size=3) + [0.0, 0.0, 1.3]),
+            frame(index * FRAME, offset=offset),
+        )
+        pilot.step(index * FRAME, one._replace(pendulum_position=other.pendulum_position))
+        window = pilot.window_due() or window
+    assert len(window.rod.stamp) == pytest.approx(len(window.vehicle.stamp) * 2 / 3, abs=1)
 
 
 @pytest.mark.parametrize(

@@ -46,13 +46,13 @@ def test_a_refit_gives_the_recorded_lengths_bit_for_bit(estimated):
 
 def test_a_refit_takes_another_estimator_and_another_hand_over(estimated):
     changed = estimated.params.replace(
-        estimation__estimator="maximum_likelihood", piloting__handover="trusted", estimation__run_period=2.0
+        estimation__estimator="poses", piloting__handover="trusted", estimation__run_period=2.0
     )
     used, found, deviation = replay.refit(estimated, changed).length.values.T
     assert used[0] == changed.piloting.rod_lengths[0], "the trusted hand-over starts from the shortest rod to expect"
-    # 3 mm: the RMS error of such a window is 1.4 mm (table 4); the trusted length stays on the short side
-    assert found[-1] == pytest.approx(1.0, abs=3e-3) and 0.9 < used[-1] < found[-1]
-    assert (deviation[1:] < 0.01).any()
+    assert found[-1] == pytest.approx(1.0, abs=3 * deviation[-1]) and 0.9 < used[-1] < found[-1]
+    # a stream forgets nothing: what was 6 mm after 2.5 s is half of that after 20 s
+    assert deviation[-1] < 0.6 * deviation[2] < 0.01
 
 
 def test_commands_recorded_at_another_rate_make_windows_of_the_same_sampling(estimated):
@@ -79,9 +79,10 @@ def test_a_bag_of_poses_alone_gives_the_states_the_controller_used(estimated):
 def test_derived_velocities_are_near_the_true_ones(estimated):
     at = np.searchsorted(estimated.truth_state.stamp, replay.states(estimated).stamp - 4_166_667)
     error = replay.states(estimated).values - estimated.truth_state.values[at, :10]
-    # 0.2 mm of noise a body, differentiated at 240 Hz and filtered at 20 Hz: 0.022 m/s; a and b join two bodies: 0.031
+    # 0.2 mm of noise a body and 0.08 mm of the attitude's at the seat, differentiated at 240 Hz and filtered at 20 Hz:
+    # 0.024 m/s; a and b join two bodies: 0.032
     assert error[:, X].std() == pytest.approx(0.2e-3, rel=0.1) and error[:, A].std() == pytest.approx(0.28e-3, rel=0.1)
-    assert error[:, X_DOT].std() < 0.025 and error[:, A_DOT].std() < 0.035
+    assert error[:, X_DOT].std() < 0.027 and error[:, A_DOT].std() < 0.036
 
 
 def test_what_cannot_be_replayed_says_why(estimated):
@@ -133,13 +134,27 @@ def test_a_flight_of_a_stranger_is_estimated_with_weaker_assumptions(estimated):
     assert replay.estimate(stranger, marker_offset=Told(0.0, 1e-3)).length == pytest.approx(own.length, abs=1e-3)
 
 
-def test_raw_windows_of_a_stretch_hold_its_frames_alone(estimated):
+def test_raw_windows_of_a_stretch_hold_its_poses_alone(estimated):
     window = replay.raw_window_between(estimated, 6.0, 9.0)
-    assert window.time[-1] == pytest.approx(2.98, abs=1 / 240)
-    end = estimated.time(estimated.vehicle) <= 9.0
-    np.testing.assert_array_equal(window.vehicle[-1], estimated.vehicle.position[end][-1])
-    with pytest.raises(ValueError, match=r"commands from 0\.1 s before"):
-        replay.raw_window_between(estimated, 0.0, 3.0)
+    assert window.seconds == pytest.approx(3.0, abs=1 / 240)
+    for body, recorded in zip(window, (estimated.vehicle, estimated.pendulum), strict=True):
+        inside = (estimated.time(recorded) >= 6.0) & (estimated.time(recorded) <= 9.0)
+        np.testing.assert_array_equal(body.stamp, recorded.stamp[inside])
+        np.testing.assert_array_equal(body.position, recorded.position[inside])
+    with pytest.raises(ValueError, match="needs poses of both bodies"):
+        replay.raw_window_between(estimated, 600.0, 603.0)
+
+
+def test_bodies_that_are_logged_apart_keep_their_own_stamps(estimated):
+    rod = dataclasses.replace(
+        estimated.pendulum,
+        **{name: getattr(estimated.pendulum, name)[::2] for name in ("received", "position", "orientation")},
+        stamp=estimated.pendulum.stamp[::2] + 70_000,
+    )
+    windows = replay.raw_windows(dataclasses.replace(estimated, pendulum=rod), 2.5, 2.5)
+    assert len(windows) == 9  # of 10 without the 70 us, which the last one lacks at the end
+    assert {len(window.rod.stamp) for _, window in windows} == {300}
+    assert all(np.isin(window.rod.stamp, rod.stamp).all() for _, window in windows)
 
 
 def test_a_flight_kept_in_memory_is_the_one_in_its_bag():

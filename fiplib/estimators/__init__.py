@@ -9,13 +9,14 @@ with such a function and a line of ``ESTIMATORS``; it is imported when it is fir
 What they do with the same window:
 
 - ``ga``, ``ga_improved``, ``grid``, ``scalar`` search the same fitness (``kalman.fitness``) by different means.
+- ``ga_poses`` searches another fitness by the means of ``ga``: the profile likelihood of the poses as measured.
 - ``ekf``, ``ukf`` estimate the states and the length together, forwards in time, the length being one more state.
 - ``moving_horizon`` fits all states of the window and the length together, by nonlinear programming.
 - ``recursive_least_squares``, ``concurrent_learning`` regress d'' + g tilt = (1/l) 2 g d, with d'' from differences of
   d' over a step. Differencing throws most of the information away: what d' owes to noise is as large as what it owes to
   the length. The price of their simplicity.
-- ``maximum_likelihood`` is ours and the recommended one; ``maximum_likelihood_calibrated`` takes the calibration of
-  motion capture for exact, ``maximum_likelihood_free`` fits the rod's inertia and the lag of the inner loop, too.
+- ``poses`` is ours and the recommended one (``poses.in_flight``): maximum a posteriori on the poses of both bodies as
+  measured, from nothing but motion. It goes on from window to window: ``function`` gives a new one for each flight.
 """
 
 from fiplib.estimators.base import Estimator
@@ -23,6 +24,7 @@ from fiplib.estimators.base import Estimator
 ESTIMATORS = {
     "ga": Estimator("genetic:ga", "states"),
     "ga_improved": Estimator("genetic:ga_improved", "states"),
+    "ga_poses": Estimator("genetic:ga_poses", "raw"),
     "grid": Estimator("grid:grid", "states"),
     "scalar": Estimator("brent:scalar", "states"),
     "ekf": Estimator("ekf:ekf", "states"),
@@ -30,8 +32,6 @@ ESTIMATORS = {
     "recursive_least_squares": Estimator("recursive_least_squares:recursive_least_squares", "states"),
     "concurrent_learning": Estimator("concurrent_learning:concurrent_learning", "states"),
     "moving_horizon": Estimator("moving_horizon:moving_horizon", "states"),
-    "maximum_likelihood": Estimator("likelihood:maximum_likelihood", "raw"),
-    "maximum_likelihood_calibrated": Estimator("likelihood:maximum_likelihood_calibrated", "raw"),
-    "maximum_likelihood_free": Estimator("likelihood:maximum_likelihood_free", "raw"),
+    "poses": Estimator("poses.in_flight:InFlight", "raw", streams=True),
 }
 """Every estimator by name; ``estimation.estimator`` chooses the one in flight."""

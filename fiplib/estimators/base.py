@@ -27,21 +27,26 @@ class Estimate:
 
 
 class Estimator(NamedTuple):
-    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'."""
+    """A function, as 'module:name' within this package, and the kind of window it takes: 'states' or 'raw'.
+
+    One that ``streams`` is a class, whose objects are such functions and remember the windows of their flight.
+    """
 
     path: str
     kind: str
+    streams: bool = False
 
     @property
     def function(self) -> Callable[..., Estimate]:
-        """The function (window, params, rng) -> Estimate; its module is imported now.
+        """A function (window, params, rng) -> Estimate, to be taken once for all windows of a flight.
 
-        It raises ValueError for arguments of another kind, before the estimator sees them.
+        Its module is imported now. It raises ValueError for arguments of another kind, before the estimator sees them.
         """
-        function = resolve_name(f"{__package__}.{self.path}")
+        found = resolve_name(f"{__package__}.{self.path}")
+        function = found() if self.streams else found
         needs_rng = signature(function).parameters["rng"].default is Parameter.empty
 
-        @wraps(function)
+        @wraps(found, updated=())
         def checked(window: Any, params: Any, rng: Any = None) -> Estimate:
             self._check(window, params, rng, needs_rng)
             return function(window, params, rng)

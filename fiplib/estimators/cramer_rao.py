@@ -26,11 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
-from fiplib.estimators.likelihood import CALIBRATION, NUISANCES
 from fiplib.estimators.poses.knowledge import ANY_INERTIA, ANY_OFFSET, Knowledge
 from fiplib.estimators.signals import first_order
 from fiplib.params import GRAVITY, NANO, PHI, THETA, A, B, Params, X, Y
 from fiplib.recording import BagError, Flight
+
+CALIBRATION = "calibration"
+NUISANCES = (CALIBRATION, "inertia_factor", "rate_lag")
+"""What may be unknown beside the state and the length: how the markers sit (``OFFSETS``), lambda of the rod, and the
+first-order lag of the inner loop in s."""
 
 REBASE = 24
 """Frames between two changes of the basis: 0.1 s, in which the rod's fall grows by a factor of about 1.5."""
@@ -92,7 +96,7 @@ def cramer_rao(
 
     Element k (n,) is the bound for the window of frames 0 to k; infinite as long as they do not fix the length.
     ``params`` are the true ones, the length among them, and the noise of motion capture; ``nuisances``, names out of
-    ``likelihood.NUISANCES``, are unknown too; with ``pendulum_height`` that of the pendulum's centre of mass is
+    ``NUISANCES``, are unknown too; with ``pendulum_height`` that of the pendulum's centre of mass is
     measured too. Raises ValueError: an unknown nuisance, or no noise (the bound would be zero).
     """
     if unknown := set(nuisances) - set(NUISANCES):

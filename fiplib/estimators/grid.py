@@ -1,6 +1,7 @@
 """Exhaustive search of the fitness: what a perfect search of it finds."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from fiplib import kalman
 from fiplib.estimators.base import Estimate
 from fiplib.ga import CURVATURE_CODES, Chromosome, landscape
 from fiplib.kalman import Window
-from fiplib.params import Params
+from fiplib.params import Estimation, Params
 
 
 def grid(window: Window, params: Params, rng: np.random.Generator | None = None) -> Estimate:
@@ -23,17 +24,28 @@ def grid(window: Window, params: Params, rng: np.random.Generator | None = None)
 
 
 def best_length(window: Window, params: Params) -> float:
-    """The same length in m at a tenth of the cost: all lengths in steps of 1 mm, then every code about the best of
-    them. The minimum is centimetres wide, so nothing hides between the steps."""
-    coarse = landscape(window, params.replace(estimation__resolution=1e-3)).best
-    chromosome = Chromosome.of(params.estimation)
+    """The same length in m at a tenth of the cost (``search``)."""
+    return search(lambda lengths: kalman.fitness(lengths, window, params.estimation), params.estimation)
+
+
+def search(fitness_of: Callable[[NDArray], NDArray], estimation: Estimation, step: float = 1e-3) -> float:
+    """Return the length in m with the smallest fitness: all in steps of ``step`` m, then every code about the best.
+
+    The minimum of a window is centimetres wide, so nothing hides between steps of 1 mm.
+    """
+    chromosome = Chromosome.of(estimation)
     lengths = chromosome.length(np.arange(chromosome.codes))
-    lengths = lengths[np.abs(lengths - coarse) < 2e-3]
-    return float(lengths[kalman.fitness(lengths, window, params.estimation).argmin()])
+    coarse = lengths[:: max(1, round(step / estimation.resolution))]
+    near = lengths[np.abs(lengths - coarse[fitness_of(coarse).argmin()]) < 2 * step]
+    return float(near[fitness_of(near).argmin()])
 
 
 def deviation(values: NDArray, step: float, params: Params) -> float:
     """sqrt(2 / f'') from three values of f = -2 log L; nan for readings that are no likelihood or not convex."""
+    return curvature_deviation(values, step) if kalman.reading(params.estimation).score == "likelihood" else math.nan
+
+
+def curvature_deviation(values: NDArray, step: float) -> float:
+    """sqrt(2 / f'') from three values of f = -2 log L, ``step`` m apart; nan where it is not convex."""
     curvature = (values[0] - 2 * values[1] + values[2]) / step**2
-    good = kalman.reading(params.estimation).score == "likelihood" and 0 < curvature < math.inf
-    return math.sqrt(2 / curvature) if good else math.nan
+    return math.sqrt(2 / curvature) if 0 < curvature < math.inf else math.nan

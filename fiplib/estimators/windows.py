@@ -1,126 +1,141 @@
 """What estimators are given, and what gathers it in flight.
 
-The paper's estimator takes states sampled in steps (``kalman.Window``, ``WindowSampler``); ours takes frames as
-measured and commands as sent (``RawWindow``, ``RawSchedule``). Both are fed alike.
+The paper's estimator takes states sampled in steps (``kalman.Window``, ``WindowSampler``); ours takes the poses of both
+bodies as measured (``RawWindow``, ``RawSampler``). Both are fed alike.
 """
 
-import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.dynamics import euler_angles, seat_position
+from fiplib.dynamics import z_axis
 from fiplib.kalman import Window
 from fiplib.params import NANO, Params
-from fiplib.recording import Measurement
+from fiplib.recording import Flight, Measurement
 
 LEAD = 0.1
-"""Commands are kept from this many seconds before the first frame: those still on their way to the motors."""
+"""Poses count from this many seconds after the first command on: until then the vehicle may be held."""
 
 
 @dataclass(frozen=True)
-class RawWindow:
-    """A stretch of motion capture, nothing differentiated or filtered. Times in s, zero at the first frame.
-
-    Attributes:
-        time: exposure of each frame, (n,).
-        vehicle: position of the rod's seat, (n, 3), m.
-        pendulum: position of the pendulum's COM, (n, 3), m.
-        attitude: roll, pitch, yaw of R = Rx Ry Rz, (n, 3), rad.
-        command_time: when each command was given (not when it acts), (m,); starts before the first frame.
-        command: body rates omega_x, omega_y in rad/s and normalised thrust, (m, 3).
+class RawPoses:
+    """Poses of one body: ``stamp`` (n,) of their exposure in ns, ``position`` (n, 3) in m, ``axis`` (n, 3) its body z
+    in the world.
 
     Raises:
-        ValueError: an array of another shape, a number that is not finite, or times that do not increase.
+        ValueError: an array of another shape, a number that is not finite, or stamps that are out of order.
     """
 
-    time: NDArray
-    vehicle: NDArray
-    pendulum: NDArray
-    attitude: NDArray
-    command_time: NDArray
-    command: NDArray
+    stamp: NDArray
+    position: NDArray
+    axis: NDArray
 
     def __post_init__(self) -> None:
-        for first, names in (("time", ("vehicle", "pendulum", "attitude")), ("command_time", ("command",))):
-            count = len(self._checked(first, None))
-            for name in names:
-                self._checked(name, count)
-        for name, least in (("time", 2), ("command_time", 1)):
-            times = getattr(self, name)
-            if len(times) < least or (np.diff(times) <= 0.0).any():
-                raise ValueError(f"window {name} must hold at least {least} increasing times in s")
+        for name in ("stamp", "position", "axis"):
+            try:
+                array = np.asarray(getattr(self, name), dtype=float)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"poses: {name} holds what is no number ({error})") from error
+            shape = "(n,)" if name == "stamp" else f"({len(self.stamp)}, 3)"
+            if array.ndim != 1 if name == "stamp" else array.shape != (len(self.stamp), 3):
+                raise ValueError(f"poses: {name} must have shape {shape}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"poses: {name} holds values that are not finite")
+            object.__setattr__(self, name, np.asarray(self.stamp, dtype=np.int64) if name == "stamp" else array)
+        if (np.diff(self.stamp) < 0).any():
+            raise ValueError("poses: stamp must not decrease")
 
-    def _checked(self, name: str, count: int | None) -> NDArray:
-        """Keep the array of a name as float; (n,) where there is no count, else (count, 3)."""
-        try:
-            array = np.asarray(getattr(self, name), dtype=float)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"window {name} holds what is no number ({error})") from error
-        shape = "(n,)" if count is None else f"({count}, 3)"
-        if array.ndim != 1 if count is None else array.shape != (count, 3):
-            raise ValueError(f"window {name} must have shape {shape}, got {array.shape}")
-        if not np.isfinite(array).all():
-            raise ValueError(f"window {name} holds values that are not finite")
-        object.__setattr__(self, name, array)
-        return array
+    def part(self, kept: NDArray) -> "RawPoses":
+        """Return some of the poses, chosen by a mask or by indices."""
+        return RawPoses(self.stamp[kept], self.position[kept], self.axis[kept])
+
+
+class RawWindow(NamedTuple):
+    """A stretch of motion capture, nothing paired, differentiated or filtered: both bodies at their own stamps."""
+
+    vehicle: RawPoses
+    rod: RawPoses
+
+    @property
+    def seconds(self) -> float:
+        """How long the window is, s."""
+        stamps = [body.stamp for body in self if len(body.stamp)]
+        return (max(stamp[-1] for stamp in stamps) - min(stamp[0] for stamp in stamps)) / NANO if stamps else 0.0
+
+    @classmethod
+    def between(cls, flight: Flight, start_ns: int, end_ns: int) -> "RawWindow":
+        """Return the poses of a recorded flight that were exposed in [start_ns, end_ns]."""
+        bodies = []
+        for body in (flight.vehicle, flight.pendulum):
+            kept = (body.stamp >= start_ns) & (body.stamp <= end_ns)
+            axis = np.column_stack(z_axis(*body.orientation[kept].T))
+            bodies.append(RawPoses(body.stamp[kept], body.position[kept], axis))
+        return cls(*bodies)
 
 
 class RawSampler:
-    """Keeps the last ``seconds`` of frames, and the commands that belong to them.
+    """Keeps the last ``raw_window`` seconds of poses, and the schedule of an estimator of kind "raw".
 
-    The seat lies ``seat_height`` m above the vehicle's tracked point.
+    The trusted hand-over gets windows of ``first_raw_window`` already, which grow to ``raw_window``. A pose of the rod
+    that comes again with the next frame, because none of its own came with that, is kept once.
     """
 
-    def __init__(self, seconds: float, seat_height: float) -> None:
-        self.seconds, self._seat_height = seconds, seat_height
-        self._span = round(seconds * NANO)
-        self._frames: deque[tuple[int, NDArray]] = deque()
-        self._commands: deque[tuple[int, NDArray]] = deque()
+    def __init__(self, params: Params) -> None:
+        self.seconds = params.estimation.raw_window
+        self._span = round(self.seconds * NANO)
+        self._period = params.estimation.run_period
+        trusted = params.piloting.handover == "trusted"
+        self._least = round(min(params.estimation.first_raw_window, self.seconds) * NANO) if trusted else self._span
+        self._slack = 0.5 / params.piloting.mocap_rate
+        self._bodies: tuple[deque[tuple[int, NDArray]], ...] = (deque(), deque())
+        self._first_command: int | None = None
+        self._fresh = False
+        self._last_run: int | None = None
 
     def push_frame(self, measurement: Measurement) -> None:
         """Take a frame as it arrives, before the command that answers it."""
+        self._fresh = False
         stamp = measurement.stamp
-        if self._frames and stamp <= self._frames[-1][0]:
+        if self._first_command is None or stamp - self._first_command < LEAD * NANO:
             return
-        attitude = euler_angles(measurement.vehicle_attitude)
-        seat = seat_position(measurement.vehicle_position, measurement.vehicle_attitude, self._seat_height)
-        row = np.concatenate([seat, measurement.pendulum_position, attitude])
-        self._frames.append((stamp, row))
-        while stamp - self._frames[0][0] > self._span:
-            self._frames.popleft()
+        vehicle, rod = self._bodies
+        if vehicle and stamp <= vehicle[-1][0]:
+            return
+        vehicle.append((stamp, np.concatenate(measurement[1:3])))
+        pose = np.concatenate(measurement[3:5])
+        if not rod or not np.array_equal(pose, rod[-1][1]):
+            rod.append((stamp, pose))
+        for body in self._bodies:
+            while body and stamp - body[0][0] > self._span:
+                body.popleft()
 
     def push_command(self, now: int, state: NDArray | None, body_rate: NDArray, thrust: float) -> None:
-        """Take a control tick at ``now`` ns: state (not used), body rates (3,) in rad/s and normalised thrust."""
-        self._commands.append((now, np.array([*body_rate[:2], thrust])))
-        first = self._frames[0][0] if self._frames else now
-        while len(self._commands) > 1 and self._commands[1][0] < first - LEAD * NANO:
-            self._commands.popleft()
+        """Take a control tick at ``now`` ns; what was commanded is not needed."""
+        self._fresh = True
+        if self._first_command is None:
+            self._first_command = now
 
-    def window(self, least: float = math.inf) -> RawWindow | None:
-        """The window, once frames of the whole span and a command before them (by ``LEAD``) have been seen.
-
-        While the span fills, a window of ``least`` seconds will do.
-        """
-        if not self._commands or len(self._frames) < 2:
+    def due(self, now: int | None) -> RawWindow | None:
+        """The window, at a control tick, when it is long enough, and ``run_period`` has passed since the last."""
+        if now is None or not self._fresh or not all(self._bodies):
             return None
-        zero, last = self._frames[0][0], self._frames[-1][0]
+        if self._last_run is not None and (now - self._last_run) / NANO < self._period - self._slack:
+            return None
+        frames = self._bodies[0]
+        step = (frames[-1][0] - frames[0][0]) / max(len(frames) - 1, 1)
         # the span is full when one more frame would drop the first
-        step = (last - zero) / (len(self._frames) - 1)
-        needed = min(self._span, least * NANO)
-        if last - zero + 1.5 * step < needed or self._commands[0][0] > zero - LEAD * NANO + 2 * step:
+        if frames[-1][0] - frames[0][0] + 1.5 * step < self._least:
             return None
-        values = np.array([row for _, row in self._frames])
-        return RawWindow(
-            (np.array([stamp for stamp, _ in self._frames]) - zero) / NANO,
-            values[:, :3],
-            values[:, 3:6],
-            values[:, 6:],
-            (np.array([now for now, _ in self._commands]) - zero) / NANO,
-            np.array([row for _, row in self._commands]),
-        )
+        self._last_run = now
+        bodies = []
+        for body in self._bodies:
+            poses = np.array([pose for _, pose in body])
+            axis = np.column_stack(z_axis(*poses[:, 3:].T))
+            bodies.append(RawPoses(np.array([stamp for stamp, _ in body]), poses[:, :3], axis))
+        return RawWindow(*bodies)
 
 
 class WindowSampler:
@@ -166,44 +181,5 @@ class WindowSampler:
         return Window(np.array(self._states), inputs, self._step)
 
 
-class RawSchedule(RawSampler):
-    """Gathers frames as measured and commands as sent, and keeps the schedule of an estimator of kind "raw".
-
-    Frames count from ``LEAD`` after the first command on: what moved the vehicle before that is not known. The trusted
-    hand-over gets windows of ``first_raw_window`` already, which grow to ``raw_window``.
-    """
-
-    def __init__(self, params: Params) -> None:
-        super().__init__(params.estimation.raw_window, params.piloting.seat_height)
-        self._period = params.estimation.run_period
-        self._least = params.estimation.first_raw_window if params.piloting.handover == "trusted" else math.inf
-        self._slack = 0.5 / params.piloting.mocap_rate
-        self._first_command: int | None = None
-        self._fresh = False
-        self._last_run: int | None = None
-
-    def push_frame(self, measurement: Measurement) -> None:
-        self._fresh = False
-        if self._first_command is not None and measurement.stamp - self._first_command >= LEAD * NANO:
-            super().push_frame(measurement)
-
-    def push_command(self, now: int, state: NDArray | None, body_rate: NDArray, thrust: float) -> None:
-        self._fresh = True
-        if self._first_command is None:
-            self._first_command = now
-        super().push_command(now, state, body_rate, thrust)
-
-    def due(self, now: int | None) -> RawWindow | None:
-        """The window, at a control tick, when it is long enough, and ``run_period`` has passed since the last."""
-        if now is None or not self._fresh:
-            return None
-        if self._last_run is not None and (now - self._last_run) / NANO < self._period - self._slack:
-            return None
-        window = self.window(self._least)
-        if window is not None:
-            self._last_run = now
-        return window
-
-
-SAMPLERS = {"states": WindowSampler, "raw": RawSchedule}
+SAMPLERS = {"states": WindowSampler, "raw": RawSampler}
 """What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

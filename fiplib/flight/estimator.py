@@ -134,7 +134,7 @@ def _estimate(params: Params, seed: int, connection: Connection) -> None:
         os.nice(10)  # the controller comes first
     function = estimator_of(params).function
     # estimators import these when first used: a second, not in flight
-    for part in ("scipy.optimize", "fiplib.kernels.filtering", "fiplib.kernels.recursion"):
+    for part in ("scipy.optimize", "fiplib.kernels.filtering"):
         importlib.import_module(part)
     with suppress(EOFError, OSError):
         connection.send(None)

@@ -5,10 +5,12 @@ never on a simulator's truth: the bag of a real vehicle goes through unchanged.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaincinv
 
 from fiplib.params import A, B, X, Y
 from fiplib.recording import TOPICS, BagError, Flight
@@ -179,6 +181,25 @@ def jumps(flight: Flight) -> list[Jump]:
     sizes, starts = np.abs(used[at] - used[at - 1]).tolist(), time[at].tolist()
     ends = [*starts[1:], flight.duration]
     return [Jump(size, a, min(b, fell), a <= fell <= b) for size, a, b in zip(sizes, starts, ends, strict=True)]
+
+
+def binomial_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Return the 95 % interval of a probability (Clopper and Pearson, 1934: never too narrow)."""
+    if not trials:
+        return 0.0, 1.0
+    low = betaincinv(successes, trials - successes + 1, 0.025) if successes else 0.0
+    high = betaincinv(successes + 1, trials - successes, 0.975) if successes < trials else 1.0
+    return float(low), float(high)
+
+
+def bootstrap_interval(
+    values: ArrayLike, statistic: Callable[[NDArray], float], draws: int = 2000
+) -> tuple[float, float]:
+    """Return the 95 % interval of a statistic of independent values (n,), drawn anew with repetition; seeded."""
+    values = np.asarray(values, dtype=float)
+    chosen = np.random.default_rng(0).integers(len(values), size=(draws, len(values)))
+    low, high = np.quantile([statistic(values[one]) for one in chosen], (0.025, 0.975))
+    return float(low), float(high)
 
 
 def rms(values: ArrayLike) -> float:

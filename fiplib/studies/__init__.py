@@ -37,14 +37,19 @@ STUDIES = {
     "estimators": "fiplib.studies.estimators",
     "imperfections": "fiplib.studies.imperfections",
     "handover": "fiplib.studies.handover",
+    "ablation": "fiplib.studies.ablation",
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
+    "step_errors": "fiplib.studies.step_errors",
 }
 """Address of each study by name, see ``load``."""
 
 
-FACTS = ("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds", "seat", "poses", "observers")
+FACTS = (
+    *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
+    *("seat", "poses", "observers", "ablation", "step_errors"),
+)
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
 

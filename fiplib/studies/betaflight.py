@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fiplib import bags, replay, simulate
 from fiplib.dynamics import PLANT
-from fiplib.estimators.likelihood import maximum_likelihood
+from fiplib.estimators import ESTIMATORS
 from fiplib.flight.betaflight import airframe as model
 from fiplib.flight.betaflight import sitl
 from fiplib.flight.betaflight.airframe import Airframe, InnerLoop, MotorPlant
@@ -125,15 +125,15 @@ class Flown:
         return best._replace(delay=best.delay - params.simulation.mocap_latency)
 
     def refitted(self) -> str:
-        """What the recommended estimator, given the model's delay and lag, makes of the flight, in a sentence."""
+        """What the recommended estimator makes of the flight, in a sentence."""
         flight = self.tape.flight(self.scenario.name, self.metadata)
         seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(self.scenario.duration * NANO)
         if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):
             return f"too short to estimate the length: it takes {seconds:g} s"
-        answers = [maximum_likelihood(window, flight.params) for window in windows]
+        answers = [ESTIMATORS["poses"].function(window, flight.params) for window in windows]
         found = summarise(answers, flight.params.pendulum.length)
         return (
-            f"length by maximum likelihood: {found['n']} of {len(answers)} windows of {seconds:g} s answered, "
+            f"length from poses: {found['n']} of {len(answers)} windows of {seconds:g} s answered, "
             f"bias {1e3 * found['bias']:.1f} mm, RMS error {1e3 * found['rms']:.1f} mm, "
             f"{found['covered']} of their 95 % intervals cover the rod"
         )

@@ -4,7 +4,7 @@ A case is one flight with the true length in use; its row has the bound for wind
 square over windows that begin at ``STARTS``. ``knowledge``:
 
 - ``plant known``: all but the state and the length;
-- ``calibration unknown``: four constants, where markers and body frame sit, as well (``likelihood.CALIBRATION``);
+- ``calibration unknown``: four constants, where markers and body frame sit, as well (``cramer_rao.CALIBRATION``);
 - ``inertia and lag unknown``: these two as well;
 - ``height measured``: motion capture reports the height of the pendulum's centre of mass too.
 
@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiplib.estimators.cramer_rao import cramer_rao, motion
-from fiplib.estimators.likelihood import CALIBRATION
+from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
 from fiplib.params import NANO
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin

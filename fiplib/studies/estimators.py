@@ -22,8 +22,7 @@ from matplotlib.figure import Figure
 from fiplib import replay
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
-from fiplib.estimators.cramer_rao import cramer_rao, motion
-from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
+from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.recording import BagError, Flight
@@ -38,7 +37,7 @@ KEYS = ("excitation", "gyration_ratio", "seed")
 
 EXCITATIONS = {"circle-0.4": Circle(0.4, 8.0), "circle-0.8": Circle(0.8, 9.0), "hover": Hover()}
 
-UNKNOWN = {"maximum_likelihood": (CALIBRATION,), "maximum_likelihood_free": NUISANCES}
+UNKNOWN = dict.fromkeys(("poses", "ga_poses"), (CALIBRATION, "inertia_factor"))
 """What is unknown beside state and length, by estimator."""
 
 DURATION = 22.0
@@ -138,9 +137,8 @@ def _bound(flight: Flight, ends: list[int], seconds: float, unknown: tuple[str, 
 
 
 LABELS = {
-    "maximum_likelihood": "maximum likelihood, raw",
-    "maximum_likelihood_free": "the same, inertia, lag unknown",
-    "maximum_likelihood_calibrated": "the same, calibration exact",
+    "poses": "raw poses alone",
+    "ga_poses": "GA on raw poses",
     "ga": "GA, printed settings",
     "ga_improved": "GA, more exploration",
     "grid": "exhaustive search",
@@ -204,25 +202,25 @@ def fig9_estimators(rows: Rows) -> Figure:
 
 
 def fig10_intervals(flight: Flight) -> Figure:
-    """Fig. 10: maximum likelihood with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
+    """Fig. 10: the pose estimator with its 95 % interval on the flight of Fig. 5, beside the GA's answers."""
+    from fiplib.estimators.poses.in_flight import InFlight  # compiled code: half a second to import
+
     measures.need(flight, "length")
     figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
     axes = figure.subplots()
     found = []
     for stamp, window in replay.raw_windows(flight, flight.params.estimation.raw_window, 0.5):
-        estimate = maximum_likelihood(window, flight.params)
+        estimate = InFlight()(window, flight.params)
         if estimate.reason is None:
             found.append(((stamp - flight.start_ns) / NANO, estimate.length, estimate.standard_deviation))
     if not found:
-        raise BagError(f"{flight.path}: no window of it gives a length by maximum likelihood")
+        raise BagError(f"{flight.path}: no window of it gives a length")
     times, lengths, deviations = np.array(found).T
     recorded = flight.length.values[1:, 1]
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
-    axes.errorbar(
-        times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="maximum likelihood, 95 %"
-    )
+    axes.errorbar(times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="raw poses, 95 %")
     axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
-    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.9, 1.1))
+    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.8, 1.1))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")
     return figure
@@ -244,10 +242,10 @@ def table4_estimators(rows: Rows) -> Table:
 
 
 def facts(rows: Rows) -> Facts:
-    """Return what the report states of five estimators on the paper's excitation."""
+    """Return what the report states of three estimators on the paper's excitation."""
     found: Facts = {}
     chosen = circling(rows, uniform=True)
-    for name in ("maximum_likelihood", "maximum_likelihood_calibrated", "maximum_likelihood_free", "ga", "grid"):
+    for name in ("poses", "ga", "grid"):
         one = pooled(chosen, name)
         found |= {
             (name, "windows"): f"{one.windows}",

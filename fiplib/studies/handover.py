@@ -1,14 +1,17 @@
-"""Does the loop survive its own estimator? Random rods, random first lengths, and four ways to the used length.
+"""Does the loop survive its own estimator? Random rods, random first lengths, and five ways to the used length.
 
-A flight is drawn by its index: l0 uniform in [0.4, 1.6] m, the rod's true length uniform in [0.5, 1.5] m, a uniform
-rod. It follows the 0.4 m circle, which starts at once. A row is one flight under one policy:
+A flight is drawn by its index: l0 uniform in [0.4, 1.6] m, and a uniform rod. The first ``EXPECTED`` rods are as the
+trusted hand-over expects them, uniform in [0.5, 1.5] m; of the next ``OUTSIDE`` every other one is shorter, in
+[0.3, 0.5] m, and the others longer, in [1.5, 2] m. It follows the 0.4 m circle, which starts at once. A row is one
+flight under one policy:
 
 - ``told``: the controller has the true length from the start. What falls here, no estimator could save.
 - ``printed``: the paper's genetic algorithm and hand-over from l0 on, with the likelihood as its fitness (our default);
-  ``literal``, for the first ``LITERAL`` indices only: with the fitness that the paper prints.
-- ``trusted``: maximum likelihood on raw motion capture, and the hand-over that trusts it as far as it is sure.
+  ``short``: the same from the first length of ``trusted``, the shortest rod to expect, instead of l0;
+  ``literal``, for the first ``LITERAL`` indices only: from l0, with the fitness that the paper prints.
+- ``trusted``: the estimate from poses, and the hand-over that trusts it as far as it is sure.
 
-All policies fly the same rod with the same noise. 1600 rows, about an hour of one core.
+All policies fly the same rod with the same noise. 840 rows, about 5 minutes of two cores.
 """
 
 import math
@@ -29,20 +32,20 @@ from fiplib.studies.batch import fly_many
 
 KEYS = ("policy", "index")
 
-FLIGHTS = 500
-LITERAL = 100
+EXPECTED, OUTSIDE, LITERAL = 100, 100, 40
 
 POLICIES: dict[str, dict] = {
     "told": {},
     "printed": {"piloting__estimate": True},
+    "short": {"piloting__estimate": True},
     "literal": {"piloting__estimate": True, "estimation__fitness": "paper"},
     "trusted": {
         "piloting__estimate": True,
         "piloting__handover": "trusted",
-        "estimation__estimator": "maximum_likelihood",
+        "estimation__estimator": "poses",
     },
 }
-"""Parameters of each policy; all but ``told`` start from l0."""
+"""Parameters of each policy; all but ``told`` and ``short`` start from l0."""
 
 SECONDS = 12.0
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
@@ -54,11 +57,13 @@ SETTLED = 0.05
 def cases() -> list[dict]:
     """Every flight under every policy; lengths in m, ``gyration`` is k^2/l^2 of the rod."""
     found = []
-    for index in range(FLIGHTS):
+    for index in range(EXPECTED + OUTSIDE):
         rng = np.random.default_rng(index)
+        first = round(rng.uniform(0.4, 1.6), 4)
+        rods = (0.5, 1.5) if index < EXPECTED else ((0.3, 0.5), (1.5, 2.0))[index % 2]
         flight = {
-            "initial_length": round(rng.uniform(0.4, 1.6), 4),
-            "true_length": round(rng.uniform(0.5, 1.5), 4),
+            "initial_length": first,
+            "true_length": round(rng.uniform(*rods), 4),
             "gyration": 1 / 12,
             "seed": index,
         }
@@ -78,11 +83,12 @@ def run(case: dict) -> dict[str, float | int | str]:
         which on the used length was within ``SETTLED`` of the true one, nan if at the end it was not; used_length at
         the end (m); longest_used, the largest used over true length; largest_lean, of |a| and |b| (m).
     """
-    true, told = case["true_length"], case["policy"] == "told"
+    true, first = case["true_length"], case["initial_length"]
+    starts = {"told": true, "short": min(first, Params().piloting.rod_lengths[0])}
     params = Params().replace(
         pendulum__length=true,
         pendulum__gyration_ratio=case["gyration"],
-        piloting__initial_length=true if told else case["initial_length"],
+        piloting__initial_length=starts.get(case["policy"], first),
         **POLICIES[case["policy"]],
     )
     scenario = Scenario("handover", "", SECONDS, CIRCLE, params=params, seed=case["seed"])
@@ -90,7 +96,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     times, used = measures.used_length(flight)
     settled = measures.settling_time(times, np.abs(used / true - 1) >= SETTLED)
     return {
-        "initial_length": case["initial_length"],
+        "initial_length": first,
         "true_length": true,
         "survived": int(flight.survived),
         "seconds": seconds_flown(flight, scenario),
@@ -102,33 +108,47 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 LABELS = {
-    "told": "told the true length",
-    "trusted": "trusted hand-over, maximum likelihood",
+    "told": "the true length",
+    "trusted": "trusted hand-over, raw poses",
+    "short": "as printed, first length 0.5 m",
     "printed": "as printed, GA with the likelihood",
     "literal": "as printed, GA with the printed fitness",
 }
 """Ways to the used length, as figures and tables name them."""
 
+RODS = {"expected": "0.5 to 1.5", "shorter": "0.3 to 0.5", "longer": "1.5 to 2"}
+"""Kinds of rods by their lengths in m."""
+
+
+def kind_of(row: dict) -> str:
+    """Return which of ``RODS`` a row's rod is."""
+    if row["index"] < EXPECTED:
+        return "expected"
+    return ("shorter", "longer")[int(row["index"]) % 2]
+
 
 def fig11_handover(rows: Rows) -> Figure:
-    """Fig. 11: random rods and first lengths: who stays up, as printed and with the trusted hand-over."""
-    figure = Figure(figsize=(COLUMN, 2.5), layout="constrained")
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    for axes, policy, title in zip(panels, ("printed", "trusted"), ("as printed", "trusted"), strict=True):
+    """Fig. 11: random rods and first lengths: who stays up, as printed, from a short first length, and trusted."""
+    figure = Figure(figsize=(COLUMN, 2.7), layout="constrained")
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    shown = {"printed": "printed", "short": "from 0.5 m", "trusted": "trusted"}
+    for axes, (policy, title) in zip(panels, shown.items(), strict=True):
         told, flown, up = _flown(rows, policy)
         fell = [row for row in flown if row["survived"] != 1 and row["index"] in told]
         hopeless = [row for row in flown if row["survived"] != 1 and row["index"] not in told]
+        axes.axhspan(0.5, 1.5, color=GREY, alpha=0.12, lw=0)
         for some, marker, size, colour, label in (
             (up, ".", 2.0, BLUE, "stays up"),
             (fell, "x", 3.5, ORANGE, "falls"),
-            (hopeless, "+", 4.0, GREY, "falls when told, too"),
+            (hopeless, "+", 4.0, GREY, "falls with the true length, too"),
         ):
             points = np.array([(row["initial_length"], row["true_length"]) for row in some]).reshape(-1, 2)
             axes.plot(*points.T, marker, ms=size, mew=0.8, color=colour, label=label if some else None)
-        axes.set(title=f"{title}: {len(up)} of {len(flown)} up", xlabel="first length (m)", xlim=(0.37, 1.63))
-    panels[0].set(ylabel="true length (m)", ylim=(0.45, 1.55))
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    origin(figure, "simulated flights of 12 s, uniform rods")
+        axes.set(title=f"{title}:\n{len(up)} of {len(flown)} up", xlim=(0.37, 1.63), xticks=(0.5, 1.0, 1.5))
+    panels[0].set(ylabel="true length (m)", ylim=(0.25, 2.05))
+    panels[1].set(xlabel="first length l0 drawn (m)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    origin(figure, "simulated flights of 12 s, uniform rods; grey: expected rods")
     return figure
 
 
@@ -140,48 +160,66 @@ def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
 
 
 class HandedOver(NamedTuple):
-    """A policy over all flights: how many; how many stay up; the share ``kept`` of those that stay up when told the
-    true length; of those up, the share whose used length is ``right`` at the end, mean and 95 % quantile of the time
-    after which it is, s; the largest used over true length."""
+    """A policy over all flights with one kind of rod: how many; how many stay up; the share ``kept`` of those that stay
+    up with the true length, with its 95 % interval; of those up, the share whose used length is ``right`` at the end,
+    mean and 95 % quantile of the time after which it is, s; the largest used over true length. nan: none."""
 
     flights: int
     up: int
     kept: float
+    low: float
+    high: float
     right: float
     mean_time: float
     late_time: float
     longest: float
 
 
-def handed_over(rows: Rows, policy: str) -> HandedOver:
-    """A policy's rows of the study 'handover'."""
-    told, flown, up = _flown(rows, policy)
-    kept = float(np.mean([row["survived"] == 1 for row in flown if row["index"] in told]))
+def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
+    """A policy's rows of the study 'handover' with one kind of rod."""
+    told, flown, up = _flown([row for row in rows if kind_of(row) == rods], policy)
+    asked = [row for row in flown if row["index"] in told]
+    kept = sum(row["survived"] == 1 for row in asked)
     times = np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
-    longest = float(max(row["longest_used"] for row in flown))
-    late = float(np.quantile(times, 0.95))
-    return HandedOver(len(flown), len(up), kept, len(times) / len(up), float(times.mean()), late, longest)
+    mean, late = (float(times.mean()), float(np.quantile(times, 0.95))) if len(times) else (math.nan, math.nan)
+    return HandedOver(
+        len(flown),
+        len(up),
+        kept / len(asked) if asked else math.nan,
+        *measures.binomial_interval(kept, len(asked)),
+        len(times) / len(up) if up else math.nan,
+        mean,
+        late,
+        float(max((row["longest_used"] for row in flown), default=math.nan)),
+    )
 
 
 def table8_handover(rows: Rows) -> Table:
-    """Table 8: random rods and first lengths under four ways to the used length: who stays up, how soon it is right."""
+    """Table 8: random rods and first lengths under five ways to the used length: who stays up, how soon it is right."""
     lines = []
     for policy, label in LABELS.items():
-        found = handed_over(rows, policy)
-        late = (NONE,) * 3
-        if policy != "told":
-            late = f"{100 * found.right:.1f}", f"{found.mean_time:.2f}", f"{found.late_time:.2f}"
-        kept = f"{100 * found.kept:.1f}"
-        lines.append((label, f"{found.flights}", f"{found.up}", kept, *late, f"{found.longest:.2f}"))
+        for rods, lengths in RODS.items():
+            found = handed_over(rows, policy, rods)
+            if not found.flights:
+                continue
+            late = (NONE,) * 3
+            if policy != "told" and found.up:
+                times = found.mean_time, found.late_time
+                late = f"{100 * found.right:.0f}", *(f"{one:.2f}" if math.isfinite(one) else NONE for one in times)
+            kept = f"{100 * found.kept:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
+            lines.append((
+                label, lengths, f"{found.flights}", f"{found.up}", kept if policy != "told" else NONE, *late,
+                f"{found.longest:.2f}",
+            ))  # fmt: skip
     header = (
-        "Used length", "Flights", "Up", r"Up, of those up when told (\%)",
+        "Used length", "Rods (m)", "Flights", "Up", r"Up, of those up with the true length (\%)",
         r"Right at the end (\%)", "After, mean (s)", r"After, 95\,\% (s)", "Longest used / true",
     )  # fmt: skip
-    return Table(header, lines, "lrrrrrrr")
+    return Table(header, lines, "llrrrrrrr")
 
 
 def facts(rows: Rows) -> Facts:
-    """Return what the report states of each policy."""
+    """Return what the report states of each policy: with the rods to expect, and with all others."""
     found: Facts = {}
     for policy in LABELS:
         one = handed_over(rows, policy)
@@ -192,4 +230,8 @@ def facts(rows: Rows) -> Facts:
             (policy, "time"): f"{one.mean_time:.2f}",
             (policy, "longest"): f"{one.longest:.2f}",
         }
+        others = [handed_over(rows, policy, rods) for rods in ("shorter", "longer")]
+        if all(other.flights for other in others):
+            found[policy, "outside", "flights"] = f"{sum(other.flights for other in others)}"
+            found[policy, "outside", "up"] = f"{sum(other.up for other in others)}"
     return found

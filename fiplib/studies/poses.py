@@ -50,6 +50,9 @@ STARTS = (3.0, 6.1, 9.2, 12.3)
 
 SECONDS, DURATION = 2.5, 16.0
 
+FEW = 8
+"""Answered windows below which figure 16 draws no share."""
+
 CIRCLE = Circle(0.4, 8.0)
 
 STATED, NOTHING = Knowledge(marker_offset=MIDDLE), Knowledge()
@@ -301,20 +304,23 @@ def pooled(rows: Rows, condition: str) -> Pooled:
 
 
 def fig16_coverage(rows: Rows) -> Figure:
-    """Fig. 16: the share of 95 % intervals that hold the length, by condition, and how many windows are refused."""
+    """Fig. 16: the share of 95 % intervals that hold the length, by condition, and how many windows are refused.
+
+    Where fewer than ``FEW`` windows are answered, their share says nothing and is not drawn.
+    """
     figure = Figure(figsize=(COLUMN, 5.2), layout="constrained")
     axes, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
     colours = {"stated": BLUE, "untold": ORANGE, "wrong": PURPLE}
     for at, (name, condition) in enumerate(CONDITIONS.items()):
         found, colour = pooled(rows, name), colours[condition.group]
-        if found.windows:
+        if found.windows >= FEW:
             share, low, high = (100 * value for value in found.covered)
             axes.errorbar(share, at, xerr=[[share - low], [high - share]], fmt="o", ms=3, lw=0.8, color=colour)
         right.barh(at, 100 * found.refused, color=colour)
     for value, style in ((95.0, "-"), (90.0, "--")):
         axes.axvline(value, color=GREY, lw=0.6, ls=style)
     axes.set(yticks=range(len(CONDITIONS)), yticklabels=list(CONDITIONS), ylim=(len(CONDITIONS) - 0.4, -0.6))
-    axes.set(xlabel="intervals that hold the length (%)", xlim=(None, 100.5))
+    axes.set(xlabel="intervals that hold (%)", xlim=(75, 101))
     axes.tick_params(axis="y", labelsize=6)
     right.set(xlabel="refused (%)", xlim=(0, 100))
     origin(figure, "simulated flights, windows of 2.5 s, poses alone")

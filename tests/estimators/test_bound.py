@@ -6,12 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fiplib import replay
 from fiplib.dynamics import coupled_plant, rk4
 from fiplib.estimators import cramer_rao as bound
-from fiplib.estimators.cramer_rao import Motion, cramer_rao, motion
-from fiplib.estimators.likelihood import CALIBRATION, NUISANCES, maximum_likelihood
-from fiplib.estimators.windows import RawWindow
+from fiplib.estimators.cramer_rao import CALIBRATION, NUISANCES, Motion, cramer_rao, motion
 from fiplib.params import NANO, Params
 from fiplib.pilot import Circle, Hover
 from fiplib.recording import BagError, Flight
@@ -103,37 +100,6 @@ def test_the_bound_does_not_depend_on_how_its_unknowns_are_exchanged(monkeypatch
         monkeypatch.setattr("fiplib.estimators.cramer_rao.REBASE", frames)
         # without any exchange the sensitivities reach e^10: ten digits are left
         assert cramer_rao(stretch(), PARAMS)[-1] == pytest.approx(reference, rel=1e-6)
-
-
-@pytest.mark.parametrize("nuisances", [(), (CALIBRATION,)])
-def test_maximum_likelihood_scatters_like_the_bound_says(nuisances: tuple[str, ...]) -> None:
-    """Monte Carlo: the noise drawn anew on one and the same motion, with the commands that flew it."""
-    flight, rng = flown(params=NO_SEAT), np.random.default_rng(5)
-    end, window = replay.raw_windows(flight, 2.5, 4.0)[-1]
-    end -= round(PARAMS.simulation.mocap_latency * NANO)
-    first = end - round(2.5 * NANO)
-    true, truth = motion(flight, first, end), flight.truth_state
-    assert len(true.states) == len(window.time)
-    inside = (truth.stamp >= first) & (truth.stamp <= end)
-    angles = np.pad(truth.values[inside, 8:10], ((0, 0), (0, 1)))
-    positions, centre = true.states[:, :3], true.states[:, :3] + PARAMS.pendulum.length / 2 * true.states[:, 10:13]
-    scale = PARAMS.simulation.position_noise, PARAMS.simulation.position_noise, PARAMS.simulation.attitude_noise
-    answers = []
-    for _ in range(80):
-        poses = (
-            value + sigma * rng.normal(size=value.shape)
-            for value, sigma in zip((positions, centre, angles), scale, strict=True)
-        )
-        drawn = RawWindow(window.time, *poses, window.command_time, window.command)
-        answers.append(maximum_likelihood(drawn, NO_SEAT, nuisances=nuisances))
-    errors = np.array([answer.length for answer in answers]) - PARAMS.pendulum.length
-    limit = cramer_rao(true, NO_SEAT, nuisances)[-1]
-    # the standard deviation of 80 draws is itself uncertain by 1/sqrt(160) = 8 %: three of those
-    assert errors.std() == pytest.approx(limit, rel=0.24)
-    # the mean by bound/sqrt(80): four of those, and 0.2 mm for what the model leaves out (the true yaw)
-    assert abs(errors.mean()) < 4 * limit / np.sqrt(80) + 2e-4
-    # the stated deviation is the curvature at the estimate: it differs from the bound by the noise of that alone
-    assert np.mean([answer.standard_deviation for answer in answers]) == pytest.approx(limit, rel=0.05)
 
 
 def test_what_the_bound_cannot_be_computed_for_is_refused_clearly() -> None:

@@ -8,18 +8,15 @@ import pytest
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.rows import Body
-from fiplib.estimators.windows import RawWindow
+from fiplib.estimators.windows import RawPoses, RawWindow
 from fiplib.kalman import Window
 from fiplib.params import Params
 
 COUNT = 40
-GOOD = {
-    "time": np.arange(COUNT) / 240,
-    "vehicle": np.zeros((COUNT, 3)),
-    "pendulum": np.tile([0.0, 0.0, 0.5], (COUNT, 1)),
-    "attitude": np.zeros((COUNT, 3)),
-    "command_time": np.arange(30) / 120 - 0.1,
-    "command": np.zeros((30, 3)),
+POSES = {
+    "stamp": np.arange(COUNT) * 4_000_000,
+    "position": np.tile([0.0, 0.0, 0.5], (COUNT, 1)),
+    "axis": np.tile([0.0, 0.0, 1.0], (COUNT, 1)),
 }
 STATES = {"states": np.zeros((20, 10)), "inputs": np.zeros((20, 2)), "step": 0.1}
 
@@ -46,16 +43,17 @@ def spoiled(array: np.ndarray) -> list:
     ]
 
 
-@pytest.mark.parametrize("name", GOOD)
-def test_a_raw_window_takes_arrays_of_its_shapes_and_nothing_else(name):
-    assert len(RawWindow(**GOOD).time) == COUNT
-    for value in spoiled(GOOD[name]):
-        with pytest.raises(ValueError, match=r"^window (time|command|command_time|vehicle|pendulum|attitude) "):
-            RawWindow(**GOOD | {name: value})
-    if "time" in name:
-        for value in (GOOD[name][::-1], np.zeros(len(GOOD[name]))):
-            with pytest.raises(ValueError, match=f"window {name} must hold at least . increasing times"):
-                RawWindow(**GOOD | {name: value})
+@pytest.mark.parametrize("name", POSES)
+def test_poses_take_arrays_of_their_shapes_and_nothing_else(name):
+    assert len(RawPoses(**POSES).stamp) == COUNT
+    for value in spoiled(POSES[name]):
+        with pytest.raises(ValueError, match=r"^poses: (stamp|position|axis) "):
+            RawPoses(**POSES | {name: value})
+
+
+def test_poses_are_in_order():
+    with pytest.raises(ValueError, match="stamp must not decrease"):
+        RawPoses(**POSES | {"stamp": POSES["stamp"][::-1]})
 
 
 @pytest.mark.parametrize("name", ["states", "inputs"])
@@ -71,10 +69,10 @@ def test_a_window_of_states_takes_arrays_of_its_shapes_and_nothing_else(name):
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_an_estimator_refuses_what_it_does_not_take_before_it_computes(name):
     estimator, rng = ESTIMATORS[name], np.random.default_rng(0)
-    windows = {"states": Window(**STATES), "raw": RawWindow(**GOOD)}
+    windows = {"states": Window(**STATES), "raw": RawWindow(RawPoses(**POSES), RawPoses(**POSES))}
     right, wrong = windows.pop(estimator.kind), next(iter(windows.values()))
     function, name = estimator.function, estimator.path.partition(":")[2]
-    for window in (None, wrong, GOOD, np.zeros((55, 10)), "window"):
+    for window in (None, wrong, POSES, np.zeros((55, 10)), "window"):
         with pytest.raises(ValueError, match=f"^{name} takes a window of the type"):
             function(window, Params(), rng)
     for params in (None, {}, Params().estimation):
@@ -98,5 +96,5 @@ def test_poses_of_other_shapes_are_refused(column):
                 estimate(**bodies | {body: bodies[body]._replace(**{column: value})})
 
 
-def test_every_field_of_a_raw_window_is_tried():
-    assert [field.name for field in fields(RawWindow)] == list(GOOD)
+def test_every_field_of_poses_is_tried():
+    assert [field.name for field in fields(RawPoses)] == list(POSES)

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fiplib.dynamics import PLANT, coupled_plant, rk4
-from fiplib.estimators.cramer_rao import Motion, cramer_rao, cramer_rao_of_poses
-from fiplib.estimators.likelihood import CALIBRATION
+from fiplib.estimators.cramer_rao import CALIBRATION, Motion, cramer_rao, cramer_rao_of_poses
 from fiplib.estimators.poses.knowledge import ANY_INERTIA, MIDDLE, Knowledge, Told
 from fiplib.params import Params
 from fiplib.studies.poses import CONDITIONS, STATED, flown

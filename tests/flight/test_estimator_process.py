@@ -58,7 +58,7 @@ def test_its_estimates_are_those_of_the_simulated_flight(flight, windows):
 )
 def test_one_that_dies_or_hangs_is_started_again_and_given_up_in_the_end(flight, number, words):
     # a run takes a twentieth of a second, far from the timeout
-    params = flight.params.replace(estimation__estimator="maximum_likelihood")
+    params = flight.params.replace(estimation__estimator="poses")
     limits = Limits().replace(safety__estimator_timeout=5.0, safety__estimator_restarts=1)
     windows = [found.window for found in replay.windows(flight, params)[:1]]
     with EstimatorProcess(params, 1, limits) as process:

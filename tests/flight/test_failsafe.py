@@ -729,7 +729,7 @@ def test_a_far_estimate_is_believed_the_third_time_and_approached_in_steps():
 
 
 def test_a_silent_estimator_is_reported_once_and_the_flight_goes_on():
-    params = PARAMS.replace(piloting__estimate=True, estimation__estimator="maximum_likelihood")
+    params = PARAMS.replace(piloting__estimate=True, estimation__estimator="poses")
     guard, stream = flying(params)
     stream.feed(SAFETY.estimate_silence + params.estimation.raw_window + 3.0)
     texts = [note.text for note in guard.notes]

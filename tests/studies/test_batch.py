@@ -12,9 +12,7 @@ from fiplib.simulate import SCENARIOS, Push, Scenario, fly
 from fiplib.studies import batch
 
 SHORT = Params().replace(piloting__estimate=True, estimation__window=20, estimation__generations=3)
-TRUSTED = SHORT.replace(
-    piloting__handover="trusted", estimation__estimator="maximum_likelihood", pendulum__gyration_ratio=1 / 12
-)
+TRUSTED = SHORT.replace(piloting__handover="trusted", estimation__estimator="poses", pendulum__gyration_ratio=1 / 12)
 KALMAN = Params().replace(piloting__observer="kalman")
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
 

@@ -130,7 +130,7 @@ def test_a_killed_pilot_is_survived_by_the_commands_and_by_the_recording():
     [
         ((False, True, True, True, None, ""), "NOT MET: exception"),
         ((True, True, True, True, None, ""), "met: recovered"),
-        ((True, False, False, False, None, ""), "NOT MET: disarmed while tilted"),
+        ((True, False, False, False, None, ""), "NOT MET: in danger, or disarmed while tilted"),
         ((True, False, True, True, None, "the operator"), "met: ended safely, as the operator demands"),
         ((True, False, True, True, True, "the limit"), "by design: ended safely, as the limit demands"),
         ((True, False, True, True, False, ""), "met: ended safely, exact poses with the same gaps"),

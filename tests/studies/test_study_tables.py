@@ -10,10 +10,21 @@ from fiplib.studies.imperfections import IMPERFECTIONS
 
 
 def handover_rows() -> list[dict]:
-    """Four flights: told loses the last; printed loses two more; trusted keeps all that telling keeps."""
-    rows = []
-    for index, (told, printed, trusted) in enumerate([(1, 1, 1), (1, 0, 1), (1, 0, 1), (0, 0, 0)]):
-        for policy, up in (("told", told), ("printed", printed), ("trusted", trusted), ("literal", printed)):
+    """Four flights: told loses the last; printed loses two more; trusted keeps all that telling keeps.
+
+    The same again with shorter and longer rods, where literal was not flown.
+    """
+    rows, outcomes = [], [(1, 1, 1), (1, 0, 1), (1, 0, 1), (0, 0, 0)]
+    for index, (told, printed, trusted) in enumerate([*outcomes, *outcomes]):
+        index += (handover.EXPECTED - 4) * (index >= 4)
+        policies = (
+            ("told", told),
+            ("printed", printed),
+            ("short", printed),
+            ("trusted", trusted),
+            ("literal", printed),
+        )
+        for policy, up in policies[: 4 if index >= handover.EXPECTED else 5]:
             settled = 1.0 + index if up else math.nan
             rows.append({"policy": policy, "index": index, "survived": up, "settled": settled, "longest_used": 1.1})
     return rows
@@ -24,13 +35,20 @@ def test_a_policy_is_held_against_the_flights_that_telling_the_length_keeps_up()
     assert (trusted.flights, trusted.up, trusted.kept, trusted.right) == (4, 3, 1.0, 1.0)
     assert trusted.mean_time == 2.0 and trusted.longest == 1.1
     assert (printed.up, printed.kept) == (1, 1 / 3)
+    # one of three: the exact binomial interval from 1 - 0.975^(1/3) on
+    assert printed.low == pytest.approx(1 - 0.975 ** (1 / 3)) and trusted.high == 1.0
+    assert trusted.low == pytest.approx(0.025 ** (1 / 3))
+    longer = handover.handed_over(handover_rows(), "trusted", "longer")
+    assert (longer.flights, longer.up) == (2, 1)
+    assert handover.facts(handover_rows())["short", "outside", "flights"] == "4"
 
 
 def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_told_one():
     table = handover.table8_handover(handover_rows())
-    assert [row[0] for row in table.rows] == list(handover.LABELS.values())
-    assert table.rows[0][4:7] == ("--", "--", "--")
-    assert table.rows[1][1:5] == ("4", "3", "100.0", "100.0")
+    assert list(dict.fromkeys(row[0] for row in table.rows)) == list(handover.LABELS.values())
+    assert [row[1] for row in table.rows] == [*list(handover.RODS.values()) * 4, handover.RODS["expected"]]
+    assert table.rows[0][4:8] == ("--",) * 4
+    assert table.rows[3][1:6] == ("0.5 to 1.5", "4", "3", "100 (29 to 100)", "100")
 
 
 def seeds_row(scenario: str, survived: int = 1, **values: float) -> dict:
@@ -93,23 +111,25 @@ def test_the_rates_table_says_what_is_measured_and_what_extrapolated():
 
 def imperfect_row(name: str, **values: float) -> dict:
     columns = {"n": 6, "refused": 0, "bias": 0.0, "rms": 0.004, "covered": 6}
-    estimators = ("ga", "maximum_likelihood_calibrated", "maximum_likelihood")
+    estimators = ("ga", "poses")
     made = {f"{column}_{one}": value for one in estimators for column, value in columns.items()}
     return {"imperfection": name, **made, **values}
 
 
 def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_well():
-    refused = {f"{column}_maximum_likelihood_calibrated": math.nan for column in ("bias", "rms", "covered")}
-    refused |= {"n_maximum_likelihood_calibrated": 0, "refused_maximum_likelihood_calibrated": 6}
-    half = {"n_maximum_likelihood": 3, "refused_maximum_likelihood": 3, "covered_maximum_likelihood": 2}
+    refused = {f"{column}_poses": math.nan for column in ("bias", "rms", "covered")} | {
+        "n_poses": 0,
+        "refused_poses": 6,
+    }
+    half = {"n_poses": 3, "refused_poses": 3, "covered_poses": 2}
     rows = [imperfect_row(name, **(refused if name == "all of them" else half)) for name in IMPERFECTIONS]
     lines = {row[0]: row[1:] for row in imperfections.table11_imperfections(rows).rows}
     assert next(iter(lines)) == "none" and len(lines) == len(IMPERFECTIONS)
-    assert lines["none"] == ("4", "100", "4.0", "100", "50", "4.0", "67")
-    assert lines["all of them"] == ("4", "0", "--", "--", "100", "4.0", "100")
+    assert lines["none"] == ("4", "50", "4.0", "67")
+    assert lines["all of them"] == ("4", "0", "--", "--")
     found = imperfections.facts(rows)
-    assert found["all", "maximum_likelihood_calibrated", "answered"] == "0"
-    assert ("all", "maximum_likelihood_calibrated", "rms") not in found
+    assert found["all", "poses", "answered"] == "0"
+    assert ("all", "poses", "rms") not in found
 
 
 def pose_rows() -> list[dict]:

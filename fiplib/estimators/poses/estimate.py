@@ -141,12 +141,11 @@ def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str])
             notes.append(f"{dropped} poses of the rod were left out: they lie elsewhere than the rod can be")
         if len(rod.time) < checks.LEAST_POSES:
             raise Refusal("the distance of the two bodies is not constant: they do not belong together")
+        checks.check_resolution(vehicle, rod)
     checks.check_bodies(vehicle, rod, distance)
     if distance < checks.SHORTEST_ARM:
         rod = Body(rod.time, None, rod.axis)
         notes.append("the rod is tracked at its foot: its orientation alone was used")
-    if rod.position is not None:
-        checks.check_resolution(vehicle, rod)
     return Problem(rows_of(vehicle, rod), knowledge, distance)
 
 

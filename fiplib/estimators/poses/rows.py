@@ -72,7 +72,7 @@ def upright_axis(orientation: ArrayLike) -> tuple[NDArray, float]:
 
 def cleaned(body: Body, name: str = "", notes: list[str] | None = None) -> Body:
     """Return the poses sorted by time, without those that are not finite or repeat a stamp; ``notes`` say so."""
-    columns = checked(body)
+    columns = [None if column is None else np.asarray(column, dtype=float) for column in body]
     time = columns[0]
     good = np.isfinite(time)
     for column in columns[1:]:

@@ -6,41 +6,59 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.estimators.poses.checks import largest_jump
 from fiplib.estimators.poses.estimate import PoseEstimate, solved
-from fiplib.estimators.poses.filter import R, Rows, State, run
-from fiplib.estimators.poses.fit import STEP, Fit, Value, inverse, neighbours
+from fiplib.estimators.poses.filter import MU, R, Rows, State, run
+from fiplib.estimators.poses.fit import STEP, Fit, Value, inverse, maximise, neighbours
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import RISE_HALF, Body, cleaned, rows_of
 
 FIRST = 1.0
 """Seconds from the first pose after which a history begins."""
 
+RECENT = 0.3
+"""How far back in s innovations are looked at for a jump."""
+
 
 class Running:
     """Score and Fisher information at one maximum, gathered row by row, at a constant cost each.
 
-    One Newton step from that maximum gives the maximum for all rows so far.
+    One Newton step from that maximum gives the maximum for all rows so far. ``fit`` is the maximum it began from.
     """
 
     def __init__(self, fit: Fit, time: float, axes: int) -> None:
-        self._fit, self._lanes = fit, neighbours(fit.theta, fit.free)
+        self.fit, self._lanes = fit, neighbours(fit.theta, fit.free)
         deviations, slopes = fit.prior.at(self._lanes)
         self._score, self._information = -slopes @ deviations, slopes @ slopes.T
         self._state = State.at(time, axes)
+        self._recent = np.zeros(0), np.zeros((0, axes))
 
     def add(self, rows: Rows) -> None:
         """Filter more rows, later than all before."""
-        out = run(rows, self._lanes, np.full(len(self._fit.free), STEP), state=self._state)
+        out = run(rows, self._lanes, np.full(len(self.fit.free), STEP), innovations=True, state=self._state)
         self._score += out.score
         self._information += out.fisher
+        time, innovation = (np.concatenate(two) for two in zip(self._recent, (rows.time, out.innovation), strict=True))
+        late = time > time[-1] - RECENT
+        self._recent = time[late], innovation[late]
+
+    @property
+    def step(self) -> tuple[NDArray, NDArray]:
+        """From the first maximum to that for all rows so far, in the free parameters; their standard deviations."""
+        covariance = inverse(self._information)
+        return covariance @ self._score, np.sqrt(np.diag(covariance))
 
     @property
     def length(self) -> Value:
         """The length in m for all rows so far, and its standard deviation."""
-        covariance = inverse(self._information)
-        at = int(np.flatnonzero(self._fit.free == R)[0])
-        step = float(covariance[at] @ self._score)
-        return Value(2.0 * (float(self._fit.theta[R]) + step), 2.0 * math.sqrt(covariance[at, at]))
+        step, deviations = self.step
+        at = int(np.flatnonzero(self.fit.free == R)[0])
+        return Value(2.0 * float(self.fit.theta[R] + step[at]), 2.0 * float(deviations[at]))
+
+    @property
+    def jump(self) -> float:
+        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        return largest_jump(*self._recent)[0]
 
 
 class History(NamedTuple):
@@ -75,10 +93,12 @@ def history(vehicle: Body, rod: Body, knowledge: Knowledge | None = None, points
 
 
 class Stream:
-    """The estimate of a flight that goes on: poses are added as they arrive, at a constant cost each.
+    """The estimate of a flight that goes on: poses are added as they arrive.
 
-    The filter of a first window's maximum and of its neighbours runs on, see ``Running``. The checks that ``estimate``
-    makes are not repeated here.
+    The filter of a first window's maximum and of its neighbours runs on, see ``Running``. When a parameter has moved by
+    more than its standard deviation, about once each time that the flight has become twice as long, the maximum is
+    sought anew on all rows, from where it is then: the cost of a flight is linear in its duration. Of the checks that
+    ``estimate`` makes only one is repeated, ``jump``.
 
     Args:
         vehicle, rod: the first window, 2.5 s or more; see ``estimate``.
@@ -94,7 +114,7 @@ class Stream:
             raise ValueError(answer.reason)
         self._bodies = [cleaned(vehicle), cleaned(rod)]
         self._origin = self._bodies[0].position[0]
-        self._running = Running(fit, problem.rows.time[0], 2)
+        self._running, self._rows = Running(fit, problem.rows.time[0], 2), list[Rows]()
         self._done = -math.inf
         self.push(Body(np.zeros(0)), Body(np.zeros(0)))
 
@@ -108,12 +128,30 @@ class Stream:
         rows = rows_of(*self._bodies, self._origin)
         fresh = (rows.time > self._done) & (rows.time <= until)
         if np.any(fresh):
-            self._running.add(rows.part(fresh))
+            self._rows.append(rows.part(fresh))
+            self._running.add(self._rows[-1])
             self._done = until
+            self._follow()
         # what smoothing needs of the past
         self._bodies = [body.part(body.time > self._done - 2.0 * RISE_HALF) for body in self._bodies]
+
+    def _follow(self) -> None:
+        """Seek the maximum anew if it has moved."""
+        fit, (step, deviations) = self._running.fit, self._running.step
+        if np.any(np.abs(step) > deviations):
+            theta = fit.theta.copy()
+            theta[fit.free] += step
+            theta[R], theta[MU] = max(theta[R], 1e-3), max(theta[MU], 0.0)
+            rows = Rows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))
+            self._running, self._rows = Running(maximise(rows, theta, fit.free, fit.prior), rows.time[0], 2), [rows]
+            self._running.add(rows)
 
     @property
     def length(self) -> Value:
         """The length in m for all poses so far, and its standard deviation."""
         return self._running.length
+
+    @property
+    def jump(self) -> float:
+        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        return self._running.jump
