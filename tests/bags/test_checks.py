@@ -45,7 +45,7 @@ def test_nothing_speaks_against_a_flight_of_any_rod(length, noise, told, referen
     flown = fly(Scenario("any", "any", 6.0, reference, pushes, ((0.0, told),), params, seed=3))
     assert flown.survived != falls
     assert findings(flown) == []
-    assert passed([]) == list(EXPLANATIONS)
+    PLACEHOLDER
 
 
 def test_tilt_and_acceleration_axis_and_arm_agree_to_a_hundredth(flight):

@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 from fiplib.estimators.poses import filter as kf
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.fit import FORCE_FREE, STEP
+from fiplib.estimators.poses.history import history
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.planar import COLUMNS, planar, read_encoders
 from fiplib.estimators.poses.rows import Body, rows_of, upright_axis
-from fiplib.estimators.poses.stream import Stream, history
+from fiplib.estimators.poses.stream import Stream
 from fiplib.params import FipError
 from fiplib.simulate import Push
 from fiplib.studies.poses import Condition, flown, interval, observed
