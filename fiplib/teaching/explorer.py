@@ -311,7 +311,9 @@ class Explorer:
         beside = "no answer of the genetic algorithm: it needs commands" if self.flight.command is None else ""
         if self.refits:
             last = stated(self.refits[-1])
-            beside = f"the genetic algorithm, from one window with the commands: {_with_interval(last)}"
+            beside = (
+                f"the genetic algorithm, from one window with the commands, as set for Refit: {_with_interval(last)}"
+            )
         assumed = folded("what was assumed, and what was left out", [*whole.assumed, *whole.notes])
         self.length.value = box(
             f"<span style='font-size:170%'>l = <b>{whole.length:.4f}</b> m</span>, 95 % interval "
@@ -374,7 +376,7 @@ class Explorer:
         self.press, self.rival, self.export = button("Refit"), button("Compare"), button("Export")
         self.press_cutting = button("Cut", False, tooltip="write the window into a new bag")
         self.follow = button("Length over time", width="160px")
-        self.folder = text(str(export), "folder", width="560px")
+        self.folder = text(str(export), "folder", width="480px")
         self.arrays = widgets.Dropdown(options=ARRAYS, **sized("arrays", "160px"))
         self.progress, self.exporting = Progress(), Progress()
         self.over_windows = widgets.Image(format="png", layout=widgets.Layout(width="520px", display="none"))

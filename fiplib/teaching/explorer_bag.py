@@ -100,7 +100,7 @@ class Chooser:
             return
         path = Path(name).expanduser()
         if path != self._path:
-            self._path, self.reading = path, {}
+            self._path, self.reading, self.written.value = path, {}, ""
         try:
             if path.is_dir() and not _holds_a_bag(path):
                 self.browse(path)
@@ -173,8 +173,8 @@ class Chooser:
         )
         lines = []
         for finding in self.against:
-            words = widgets.HTML(problem(finding.sentence))
-            lines.append(row(words, self._button("Apply", finding.cure)) if finding.cure else words)
+            words = problem(finding.sentence)
+            lines.append(_beside(words, self._button("Apply", finding.cure)) if finding.cure else widgets.HTML(words))
         cures: dict[str, Any] = {}
         for finding in self.against:
             cures |= finding.cure
@@ -183,7 +183,7 @@ class Chooser:
         if self.reading:
             back = button("Read as recorded", False, "150px")
             back.on_click(self._as_recorded)
-            lines.append(row(widgets.HTML(box(f"Read with {html.escape(_words(self.reading))}.")), back))
+            lines.append(_beside(box(f"Read with {html.escape(_words(self.reading))}."), back))
         self.found.children = lines
 
     def _button(self, name: str, cure: dict[str, Any]) -> widgets.Button:
@@ -236,7 +236,9 @@ class Chooser:
             return made if isinstance(made, str) else made.describe()
 
         if self._write(work, doing):
+            words = self.written.value
             self.open(output)
+            self.written.value = words
 
     def _new(self, source: Path, suffix: str) -> Path:
         """Where a new bag is written to."""
@@ -268,11 +270,18 @@ def _changed(path: Path) -> int:
     return max((file.stat().st_mtime_ns for file in files), default=0)
 
 
+def _beside(words: str, press: widgets.Button) -> widgets.HBox:
+    """Words that leave room for a button to the right."""
+    place = widgets.HTML(words, layout=widgets.Layout(max_width="680px", flex="0 1 auto"))
+    return widgets.HBox([place, press], layout=widgets.Layout(align_items="center", grid_gap="14px"))
+
+
 def _words(reading: dict[str, Any]) -> str:
     """Keyword arguments of ``bags.read`` in words."""
 
     def one(key: str, value: Any) -> str:
         inner = ", ".join(f"{name} {entry}" for name, entry in value.items()) if isinstance(value, dict) else value
-        return "bodies swapped" if key == "swap" else f"{key} {inner}"
+        fixed = {"swap": "bodies swapped", "topics": "topics as chosen in the menus"}
+        return fixed.get(key, f"{key} {inner}")
 
     return "; ".join(one(key, value) for key, value in reading.items())

@@ -189,6 +189,7 @@ def test_a_damaged_bag_is_recovered_into_a_new_one_and_loaded(page: Explorer, tm
     assert page.flight.path == tmp_path / "explored" / "half-recovered"
     assert "unchanged" in page.chooser.written.value and page.whole.reason is None
     page.chooser.path.value = str(DATA / "estimate-1.2")
+    assert page.chooser.written.value == ""
     page.chooser.recover.click()
     assert "nothing: the recording is undamaged" in page.chooser.written.value
 
@@ -216,7 +217,7 @@ def test_the_headline_is_the_recommended_estimate_with_the_genetic_algorithm_bes
     assert shown(page) == round(expected.length, 4)
     low, high = expected.interval
     assert f"95 % interval {low:.4f} to {high:.4f} m" in page.length.value
-    assert f"with the commands: {page.refits[-1].found.length:.4f} ±" in page.length.value
+    assert f"as set for Refit: {page.refits[-1].found.length:.4f} ±" in page.length.value
     assert [row["estimator"] for row in page.rows] == ["poses", "poses", "ga"]
     assert page.rows[0]["window_end_s"] == "25.00" and page.rows[0]["seed"] is None
 

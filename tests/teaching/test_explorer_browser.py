@@ -96,11 +96,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator:
         page.get_by_text(re.compile(r"Wrote .*results\.csv")).wait_for(state="attached")
         page.locator(".jp-OutputArea-output img[src^='data:image/png']").last.wait_for(state="attached")
         yield page
-        if folder_of_pictures := os.environ.get("FIP_SCREENSHOTS"):
-            for one in ("message", "answer", "compared", "exported", "parts"):
-                page.locator(f".fip-{one}").scroll_into_view_if_needed()
-                page.wait_for_timeout(500)
-                page.screenshot(path=Path(folder_of_pictures) / f"{one}.png")
         browser.close()
 
 
