@@ -42,7 +42,7 @@ from fiplib.teaching.explorer_widgets import (
 
 if TYPE_CHECKING:  # compiled code: half a second to import
     from fiplib.estimators.poses.estimate import PoseEstimate
-    from fiplib.estimators.poses.history import Stretch
+    from fiplib.estimators.poses.history import History, Stretch
 
 PERIODS = {"1/120": 1 / 120, "1/60": 1 / 60, "1/30": 1 / 30, "0.05": 0.05, "0.1": 0.1, "0.2": 0.2}
 """Sampling periods in s that are offered, all whole numbers of control ticks at 120 Hz."""
@@ -78,7 +78,7 @@ class Explorer:
         self.windows: list[Stretch] = []
         self.rows: list[dict[str, Any]] = []
         self.written: dict[str, Path] = {}
-        self._growing: list[Stretch] = []
+        self._shrunk: History | None = None
         self._window: Stretch | None = None
         self._make_widgets(export)
         self.chooser = Chooser(Path(data), self.folder, self.take)
@@ -96,7 +96,7 @@ class Explorer:
         """Show a flight that was read: its length first, then the pictures."""
         self.flight = None  # nothing is drawn while the slider adapts
         self._set_span(flight)
-        self.refits, self.rows, self.windows, self._growing, self._window = [], [], [], [], None
+        self.refits, self.rows, self.windows, self._shrunk, self._window = [], [], [], None, None
         self.compared.value = self.exported.value = self.answer.value = self.parts.value = ""
         self.length.value = ""
         self.over_windows.value = b""
@@ -141,21 +141,21 @@ class Explorer:
         self._show_length()
 
     def press_history(self, *_: object) -> None:
-        """Estimate windows that follow each other, and longer and longer stretches; draw both."""
+        """Estimate windows that follow each other, and how the interval of the whole flight shrank; draw both."""
         if self.flight is None:
             return
         from fiplib.estimators.poses import history
 
         flight, knowledge = self.flight, Knowledge.of_flight(self.flight)
-        self.windows, self._growing = [], []
+        self.windows = []
         with self.progress:
-            for kept, made in ((self.windows, history.windows), (self._growing, history.growing)):
-                self.progress.say(f"to {history.SHORTEST:.1f} s of {flight.duration:.1f} s", 0.0)
-                for stretch in made(flight, knowledge):
-                    kept.append(stretch)
-                    words = f"{stretch.start:.1f} to {stretch.end:.1f} s of {flight.duration:.1f} s"
-                    self.progress.say(words, stretch.end / flight.duration)
-        self.over_windows.value = image_of(length_figure.length_figure(flight, self.windows, self._growing))
+            self.progress.say(f"the whole flight of {flight.duration:.1f} s", 0.0)
+            self._shrunk = history.length_of_flight(flight, knowledge, history.POINTS)
+            for stretch in history.windows(flight, knowledge):
+                self.windows.append(stretch)
+                words = f"{stretch.start:.1f} to {stretch.end:.1f} s of {flight.duration:.1f} s"
+                self.progress.say(words, stretch.end / flight.duration)
+        self.over_windows.value = image_of(length_figure.length_figure(flight, self.windows, self._shrunk))
         self.over_windows.layout.display = None
         for one in self.windows:
             self._add_row(RECOMMENDED, one.found, (one.start, one.end))
@@ -206,8 +206,8 @@ class Explorer:
 
     def _written(self, folder: Path, name: str) -> dict[str, Path]:
         figures = {"flight": self.over_time.figure, "space": self.in_space.figure, "refit": self.found.figure}
-        if self._growing:
-            figures["length"] = length_figure.length_figure(self.flight, self.windows, self._growing)
+        if self._shrunk:
+            figures["length"] = length_figure.length_figure(self.flight, self.windows, self._shrunk)
         files = {f"{what}{end}": (what, end) for what in figures for end in length_figure.FORMATS}
         files = {what: folder / f"{name}-{what}" for what in files}
         for at, (what, path) in enumerate(files.items()):
