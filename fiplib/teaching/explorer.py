@@ -102,8 +102,12 @@ class Explorer:
         self.over_windows.value = b""
         self.over_windows.layout.display = "none"
         self.chooser.show(flight)
-        progress.say("estimating the length from the whole flight", 0.3)
-        self.whole, self.flight = replay.estimate(flight), flight
+        from fiplib.estimators.poses import history
+
+        advance = progress.parts("estimating the length from the whole flight", 0.3, 0.6)
+        # as replay.estimate, which shows no progress
+        self.whole = history.length_of_flight(flight, Knowledge.of_flight(flight), advance=advance).answer
+        self.flight = flight
         self._add_row(RECOMMENDED, self.whole, (0.0, flight.duration))
         self._show_length()
         progress.say("deriving the states", 0.6)
@@ -147,14 +151,11 @@ class Explorer:
         from fiplib.estimators.poses import history
 
         flight, knowledge = self.flight, Knowledge.of_flight(self.flight)
-        self.windows = []
         with self.progress:
-            self.progress.say(f"the whole flight of {flight.duration:.1f} s", 0.0)
-            self._shrunk = history.length_of_flight(flight, knowledge, history.POINTS)
-            for stretch in history.windows(flight, knowledge):
-                self.windows.append(stretch)
-                words = f"{stretch.start:.1f} to {stretch.end:.1f} s of {flight.duration:.1f} s"
-                self.progress.say(words, stretch.end / flight.duration)
+            advance = self.progress.parts("the whole flight", 0.0, 0.5)
+            self._shrunk = history.length_of_flight(flight, knowledge, history.POINTS, advance)
+            advance = self.progress.parts("windows", 0.5, 1.0)
+            self.windows = list(history.windows(flight, knowledge, advance=advance))
         self.over_windows.value = image_of(length_figure.length_figure(flight, self.windows, self._shrunk))
         self.over_windows.layout.display = None
         for one in self.windows:

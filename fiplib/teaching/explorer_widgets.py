@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -45,6 +45,18 @@ class Progress(widgets.HBox):
     def say(self, words: str, done: float) -> None:
         """Show what is being done, and how much of it is done, 0 to 1."""
         self.bar.value, self.words.value = done, html.escape(words)
+
+    def parts(self, words: str, start: float, end: float) -> Callable[[int], None]:
+        """Return what shows the progress of work in parts; it is called with how many of them are left."""
+        most = 1
+        self.say(words, start)
+
+        def advance(left: int) -> None:
+            nonlocal most
+            most = max(most, left)
+            self.say(f"{words}: {most - left} of {most} parts", start + (end - start) * (1.0 - left / most))
+
+        return advance
 
 
 def sized(words: str, width: str = "220px") -> dict[str, Any]:
