@@ -221,7 +221,8 @@ def small_steps(paper: None, rows: Rows) -> Finding:
         words += " make harmless"
     words += f". Of wrong lengths that stay ({len(lasting)}): {delayed:.2f}, the rest "
     words += "is only put off, since such a length does not fly"
-    return Finding(saved, verdict(saved > 0.5), words, {"lasting": delayed})
+    facts = {"lasting": delayed, "outliers": len(outliers), "wrong": len(lasting)}
+    return Finding(saved, verdict(saved > 0.5), words, facts)
 
 
 def final_length(paper: float, flight: Flight) -> Finding:
@@ -354,7 +355,9 @@ def fatal_jump(paper: float, flight: Flight) -> Finding:
     time, rates = flight.time(flight.command), flight.command.values[:, :2]
     ratio = rms(rates[(time >= start) & (time < end)]) / rms(rates[time < all_jumps[0].start])
     words = f"It falls {end - start:.1f} s after the change; until then the rate commands are {ratio:.1f} times those"
-    words += " before any change (RMS). Whether the jump does it or flying on with a wrong length is not told apart"
+    words += " before any change (RMS)"
+    words += "" if ratio > 1 + ABOUT else f": not the fluctuation that the paper saw, which we take for {1 + ABOUT:g}"
+    words += ". Whether the jump does it or flying on with a wrong length is not told apart"
     return Finding(size, verdict(size > paper and ratio > 1 + ABOUT), words, {"delay": end - start, "ratio": ratio})
 
 
