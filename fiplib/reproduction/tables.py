@@ -13,7 +13,7 @@ from fiplib.reproduction.sources import csv_text
 NONE = "--"
 """A cell without a value."""
 
-STACKED = 14
+STACKED = 15
 """Characters of a column's name above which LaTeX sets it in two lines: so wide tables keep a readable size."""
 
 Facts = dict[tuple[str, ...], str]
