@@ -113,6 +113,7 @@ def test_a_table_is_the_same_in_csv_and_latex(name, made):
 def test_a_long_name_of_a_column_is_set_in_two_lines_and_no_formula_is_broken():
     assert tables.stacked("Bias (mm)", "r") == "Bias (mm)"
     assert tables.stacked(r"In 95\,\% interval (\%)", "r") == r"\shortstack[r]{In 95\,\%\\interval (\%)}"
+    assert tables.stacked("Claim of the paper", "l", width=40) == "Claim of the paper"  # the cells are wider
     assert tables.stacked("$a + b + c + d + e + f + g$", "l") == "$a + b + c + d + e + f + g$"
     assert tables.columns("@{}llrrll@{}") == list("llrrll")
 
