@@ -147,10 +147,15 @@ def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told)
     """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
+    Raises ValueError: ``flight`` is no flight.
     """
     from fiplib.estimators.poses.history import length_of_flight  # compiled code: half a second to import
 
-    return length_of_flight(flight, replace(knowledge or Knowledge.of_flight(flight), **stated))
+    if not isinstance(flight, Flight):
+        raise ValueError(
+            f"estimate takes a Flight, as fiplib.read and fiplib.fly return it, not {type(flight).__name__}"
+        )
+    return length_of_flight(flight, replace(knowledge or Knowledge.of_flight(flight), **stated)).answer
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:

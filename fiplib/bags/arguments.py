@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     cut = commands.add_parser("cut", help="write a stretch of a bag into a new one")
     export = commands.add_parser("export", help="write states, poses or estimates into a CSV, Parquet or NPZ file")
     for command in (info, length, cut, export):
-        command.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file")
+        what = "; or a CSV file of the encoders of a cart or an arm" if command is length else ""
+        command.add_argument("bag", type=Path, help=f"directory of a ROS 2 bag, or a bare .mcap file{what}")
         command.add_argument("--topic", action="append", default=[], metavar="ROLE=NAME",
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
         if command is cut:

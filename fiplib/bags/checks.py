@@ -69,9 +69,11 @@ def findings(flight: Flight) -> list[Finding]:
     return list(_KNOWN[flight])
 
 
-def passed(found: Iterable[Finding]) -> list[str]:
-    """Return the names of the checks that a flight with these findings passed."""
+def passed(flight: Flight, found: Iterable[Finding]) -> list[str]:
+    """Return the names of the checks that a flight with these findings passed; what it does not hold is not checked."""
     names = {finding.name for finding in found}
+    if flight.command is None or len(flight.command.stamp) < 2:
+        names.add("commands")
     last = list(EXPLANATIONS)
     # a refusal without a cure ends the checks: what comes after it was not looked at
     if ended := [finding.name for finding in found if finding.refuses and not finding.cure]:

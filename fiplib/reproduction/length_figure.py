@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from fiplib.estimators.poses.estimate import NORMAL, PoseEstimate
-from fiplib.estimators.poses.history import Stretch
+from fiplib.estimators.poses.estimate import NORMAL
+from fiplib.estimators.poses.history import History, Stretch
 from fiplib.recording import BagError, Flight
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin, styled
 
@@ -23,34 +23,33 @@ FORMATS = {
 _ORIGINS = {"simulated": "simulated flight", "real": "recorded flight", "unknown": "flight of unknown origin"}
 
 
-def length_figure(flight: Flight, windows: Sequence[Stretch], growing: Sequence[Stretch]) -> Figure:
+def length_figure(flight: Flight, windows: Sequence[Stretch], history: History) -> Figure:
     """Draw the length by windows, from the beginning, and of the whole flight, each with its interval of 95 %.
 
     Args:
         flight: for its origin, and the true length if a simulator recorded it.
         windows: stretches that follow each other; see ``poses.history``.
-        growing: stretches from the beginning; the last is the whole flight.
+        history: the answer, and what it was from the beginning up to later and later times, s since the start.
     """
     with styled():
         figure = Figure(figsize=(COLUMN, 3.3), layout="constrained")
         above, below = figure.subplots(2, sharex=True, height_ratios=(3, 2))
-        whole = growing[-1].found
+        whole = history.answer
         if whole.reason is None:
             above.axhspan(*whole.interval, color=BLUE, alpha=0.25, lw=0)
             above.axhline(whole.length, color=BLUE, label="whole flight")
-            below.axhline(1e3 * _half(whole), color=BLUE)
-        if given := _given(growing):
-            time, length = np.array([(one.end, one.found.length) for one in given]).T
-            low, high = np.array([one.found.interval for one in given]).T
-            above.fill_between(time, low, high, color=ORANGE, alpha=0.25, lw=0)
-            dots = {"ms": 2.5, "color": ORANGE, "clip_on": False}
-            above.plot(time, length, "o-", label="from the beginning", **dots)
-            below.plot(time, [1e3 * _half(one.found) for one in given], "o-", **dots)
+            below.axhline(1e3 * NORMAL * whole.standard_deviation, color=BLUE)
+        known = np.isfinite(history.length) & np.isfinite(history.standard_deviation)
+        if whole.reason is None and np.any(known):
+            time, length, half = history.time[known], history.length[known], NORMAL * history.standard_deviation[known]
+            above.fill_between(time, length - half, length + half, color=ORANGE, alpha=0.25, lw=0)
+            above.plot(time, length, color=ORANGE, label="from the beginning")
+            below.plot(time, 1e3 * half, color=ORANGE)
         if given := _given(windows):
             middle, width = np.array([((one.start + one.end) / 2, (one.end - one.start) / 2) for one in given]).T
             seconds = windows[0].end - windows[0].start
             bars = {"fmt": "none", "ecolor": GREEN, "elinewidth": 0.9}
-            half = np.array([_half(one.found) for one in given])
+            half = np.array([NORMAL * one.found.standard_deviation for one in given])
             label = f"windows of {seconds:.3g} s"
             above.errorbar(middle, [one.found.length for one in given], half, width, label=label, **bars)
             below.errorbar(middle, 1e3 * half, xerr=width, **bars)
@@ -63,7 +62,7 @@ def length_figure(flight: Flight, windows: Sequence[Stretch], growing: Sequence[
             true = flight.truth_length
             time, length = np.append(flight.time(true), flight.duration), true.values[[*range(len(true.stamp)), -1], 0]
             above.step(time, length, "--", where="post", color="black", lw=0.7, label="true")
-        _limits(above, [*windows, *growing])
+        _limits(above, windows, history)
         above.set_ylabel("length (m)")
         below.set(xlabel="time (s)", ylabel="half-width of the\n95 % interval (mm)", yscale="log")
         below.set_xlim(0.0, flight.duration)
@@ -98,18 +97,12 @@ def _given(stretches: Sequence[Stretch]) -> list[Stretch]:
     return [one for one in stretches if one.found.reason is None]
 
 
-def _half(found: PoseEstimate) -> float:
-    """Half the width of the interval of 95 %, m."""
-    return NORMAL * found.standard_deviation
-
-
-def _limits(axes: Axes, stretches: Sequence[Stretch]) -> None:
+def _limits(axes: Axes, windows: Sequence[Stretch], history: History) -> None:
     """Show every estimate, and as much of the widest intervals as leaves the others legible."""
-    given = _given(stretches)
-    if not given:
+    found = [one.found for one in _given(windows)] + [history.answer] * (history.answer.reason is None)
+    if not found:
         axes.set_yticks([])
         return
-    lengths = np.array([one.found.length for one in given])
-    half = np.array([_half(one.found) for one in given])
-    room = 1.5 * float(np.quantile(half, 0.8))
+    lengths = np.array([one.length for one in found])
+    room = 1.5 * float(np.quantile([NORMAL * one.standard_deviation for one in found], 0.8))
     axes.set_ylim(lengths.min() - room, lengths.max() + room)

@@ -45,7 +45,9 @@ def test_nothing_speaks_against_a_flight_of_any_rod(length, noise, told, referen
     flown = fly(Scenario("any", "any", 6.0, reference, pushes, ((0.0, told),), params, seed=3))
     assert flown.survived != falls
     assert findings(flown) == []
-    assert passed([]) == list(EXPLANATIONS)
+    assert passed(flown, []) == list(EXPLANATIONS)
+    without = dataclasses.replace(flown, command=None)
+    assert passed(without, []) == [name for name in EXPLANATIONS if name != "commands"]
 
 
 def test_tilt_and_acceleration_axis_and_arm_agree_to_a_hundredth(flight):
@@ -133,7 +135,7 @@ def test_what_follows_a_refusal_without_a_cure_has_not_passed(flight):
     )
     against = findings(mirrored)
     assert [one.name for one in against] == ["attitude"] and against[0].refuses and not against[0].cure
-    assert "unit" not in passed(against) and "up axis" in passed(against)
+    assert "unit" not in passed(mirrored, against) and "up axis" in passed(mirrored, against)
 
 
 def test_json_holds_findings_cures_and_what_passed(tmp_path, capsys):

@@ -13,15 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from fiplib.estimators.poses import filter as kf
+from fiplib.estimators.poses.checks import jumps
 from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.fit import FORCE_FREE, STEP
+from fiplib.estimators.poses.history import history
 from fiplib.estimators.poses.knowledge import Knowledge, Told
 from fiplib.estimators.poses.planar import COLUMNS, planar, read_encoders
 from fiplib.estimators.poses.rows import Body, rows_of, upright_axis
-from fiplib.estimators.poses.stream import Stream, history
+from fiplib.estimators.poses.stream import Stream
 from fiplib.params import FipError
 from fiplib.simulate import Push
 from fiplib.studies.poses import Condition, flown, interval, observed
@@ -336,8 +339,52 @@ def test_a_push_is_refused_with_its_time():
     x = states(pushes=(Push(4.0, (0.008, 0.0)),))
     answer = estimate(*poses(x))
     assert "pushed" in answer.reason
-    # seconds from the start of the window, at 3 s; the filter takes a quarter of a second to come back
-    assert 1.0 <= float(re.search(r"at ([0-9.]+) s", answer.reason)[1]) <= 1.3
+    # seconds by the clock of the poses; the innovations over a tenth of a second tell
+    assert 3.9 <= float(re.search(r"at ([0-9.]+) s", answer.reason)[1]) <= 4.1
+
+
+def test_all_pushes_are_named_and_the_longest_stretch_without():
+    x = states(duration=16.0, pushes=(Push(4.0, (0.008, 0.0)), Push(9.0, (0.008, 0.0))))
+    reason = estimate(*poses(x, start=2.0, seconds=13.0)).reason
+    first, second, begin, end = (float(one) for one in re.findall(r"(?:at|and|from|to) ([0-9.]+)", reason))
+    assert 3.9 <= first <= 4.2 and 8.9 <= second <= 9.2
+    assert 10.0 < begin < 11.5 and end == 15.0
+
+
+def test_jumps_are_found_where_all_innovations_are_large_too():
+    clock, rng = np.arange(0.0, 10.0, 0.004), np.random.default_rng(0)
+    innovation = rng.standard_normal((len(clock), 2))
+    assert jumps(clock, innovation) == []
+    innovation[np.abs(clock - 4.05) < 0.05] *= 4.0
+    innovation[np.abs(clock - 7.05) < 0.05] *= 4.0
+    for scale, relative in ((1.0, False), (1.0, True), (5.0, True)):
+        starts, ends = np.array(jumps(clock, scale * innovation, relative)).T
+        # within the tenth of a second over which the mean square is taken
+        assert starts == pytest.approx([3.95, 6.95], abs=0.05) and ends == pytest.approx([4.15, 7.15], abs=0.05)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_poses_without_noise_are_named(noise):
+    answer = estimate(*poses(states(), position=noise, attitude=5.0 * noise))
+    assert "hold no noise" in answer.reason
+
+
+@pytest.mark.parametrize("corner", [8.0, 30.0])  # Hz
+def test_poses_that_were_smoothed_are_named(corner):
+    def smoothed(values):
+        return signal.lfilter(*signal.butter(2, corner / 120.0), values - values[0], axis=0) + values[0]
+
+    bodies = poses(states(), seconds=5.0)
+    answer = estimate(*(Body(body.time, smoothed(body.position), smoothed(body.axis)) for body in bodies))
+    assert "low-pass filter" in answer.reason
+
+
+def test_noise_is_refused_with_the_option_that_states_it_and_answered_with_that():
+    bodies = poses(states(), position=1e-3, attitude=5e-3, seconds=5.0)
+    reason = estimate(*bodies).reason
+    noise = tuple(float(one) for one in re.search(r"--noise ([0-9.e-]+),([0-9.e-]+)", reason).groups())
+    assert noise == pytest.approx((1e-3, 5e-3), rel=0.1)
+    check_length(estimate(*bodies, Knowledge(noise=noise)), 1.0)
 
 
 def test_too_little_excitation_is_refused():

@@ -261,14 +261,15 @@ def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict
     assert claims.small_steps(None, []).verdict is Verdict.OPEN
 
 
-def test_where_no_outlier_falls_small_steps_have_nothing_to_mend():
+def test_small_steps_mend_nothing_where_no_outlier_falls_at_once():
     rows = [
         jump(0.2, "at once", "2 s", 2), jump(0.2, "in steps", "2 s", 2),
         jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
     ]  # fmt: skip
     found = claims.small_steps(None, rows)
-    assert math.isnan(found.value) and found.verdict is Verdict.NOT and found.facts["outliers"] == 0
-    assert "nothing to mend" in found.reading
+    assert np.isnan(found.value) and found.verdict is Verdict.NOT
+    assert found.reading.startswith("No outlier of 2 s makes the rod fall at once")
+    assert found.facts["outliers"] == 0
 
 
 def estimating(lengths: list[tuple[float, float]], **more) -> Flight:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.estimators.poses.filter import KINDS, Rows
+from fiplib.estimators.poses.filter import KINDS, NR, NV, Rows
 from fiplib.estimators.poses.fit import TOLD, Fit, Problem
 from fiplib.estimators.poses.rows import Body, arm, quantum
 
@@ -33,11 +33,26 @@ LARGEST_CONFLICT = 3.5
 LARGEST_JUMP, JUMP_SPAN = 3.0, 0.1
 """Refused above this mean squared innovation over a span in s; noise alone reaches 2 in a flight of minutes."""
 
+RECOVERY = 1.0
+"""How long in s the filter is taken to need after a jump; jumps closer than this are one."""
+
+MOST_NAMED = 6
+"""Jumps that a refusal names at most."""
+
+SHORTEST_QUIET = 2.5
+"""Shortest stretch between jumps, s, that a refusal suggests."""
+
+NO_NOISE = 3e-6
+"""Fitted noise of positions, m, below which there is none: no motion capture is as good, and the filter needs some."""
+
 LARGEST_CORRELATION = 0.3
 """Refused above this autocorrelation of innovations."""
 
 LARGEST_NOISE = 5.0
 """Refused above this ratio of fitted to stated noise."""
+
+POSITIONS, ATTITUDES = ("vehicle", "rod"), ("tilt", "direction")
+"""Kinds of rows by what was measured."""
 
 
 class Refusal(Exception):
@@ -106,16 +121,55 @@ def _angle(axis: NDArray) -> NDArray:
 
 def check_motion(fit: Fit, rows: Rows) -> None:
     """Raise ``Refusal`` if there is no maximum, or if something moves as nothing in the model does."""
+    jump, _ = largest_jump(rows.time, fit.innovation)
     if not (fit.converged and np.all(np.isfinite(fit.covariance))):
-        raise Refusal(
-            "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
-        )
-    jump, when = largest_jump(rows.time, fit.innovation)
+        raise Refusal(_why_no_maximum(fit, rows, jump))
     if jump > LARGEST_JUMP:
-        raise Refusal(
-            f"the rod or the vehicle moves at {when:.1f} s as nothing in the model does (squared innovations "
-            f"{jump:.1f} times as large as expected): it was pushed or mistracked; leave that stretch out"
+        raise Refusal(_pushed(jumps(rows.time, fit.innovation), rows, jump))
+
+
+def _why_no_maximum(fit: Fit, rows: Rows, jump: float) -> str:
+    """Name the cause of a likelihood without a maximum as well as it can be told."""
+    noises = [index for index in (NV, NR) if index in fit.free]
+    if np.all(np.exp(fit.theta[noises]) < NO_NOISE):
+        return (
+            "the poses hold no noise, so that the likelihood has no maximum: they were simulated or computed; give "
+            "them the noise of a motion capture, about 0.2 mm and 1 mrad"
         )
+    found = jumps(rows.time, fit.innovation, relative=True)
+    quiet = np.ones(len(rows.time), dtype=bool)
+    for start, end in found:
+        quiet &= (rows.time < start) | (rows.time > end + RECOVERY)
+    parts = [fit.innovation[quiet & (rows.kind == kind)] for kind in range(len(KINDS)) if rows.has(kind)]
+    correlation = max((_correlation(part) for part in parts if len(part) >= LEAST_POSES), default=0.0)
+    if found and correlation <= LARGEST_CORRELATION:
+        return _pushed(found, rows, jump)
+    if correlation > LARGEST_CORRELATION:
+        return (
+            f"the likelihood has no maximum, and innovations are not white (correlation {correlation:.2f}): either the "
+            "poses were smoothed by a low-pass filter, which must be switched off in the motion capture or its driver, "
+            "or the two bodies do not move as a vehicle and its rod; check the frames and the stamps"
+        )
+    return "the likelihood has no maximum: the two bodies do not move as a vehicle and its rod; check the frames"
+
+
+def _pushed(found: list[tuple[float, float]], rows: Rows, jump: float) -> str:
+    """Name the times of jumps, and the longest stretch without one."""
+    named = [f"{start:.1f}" for start, _ in found[:MOST_NAMED]]
+    if len(found) > MOST_NAMED:
+        named.append(f"{len(found) - MOST_NAMED} more times")
+    times = f"{', '.join(named[:-1])} and {named[-1]}" if len(named) > 1 else named[0]
+    times = times if len(found) > MOST_NAMED else f"{times} s"
+    begins = [float(rows.time[0]), *(end + RECOVERY for _, end in found)]
+    ends = [*(start - JUMP_SPAN for start, _ in found), float(rows.time[-1])]
+    begin, end = max(zip(begins, ends, strict=True), key=lambda stretch: stretch[1] - stretch[0])
+    way = "leave that out"
+    if end - begin > SHORTEST_QUIET:
+        way = f"leave that out, for example with fip bag cut --from {begin:.1f} --to {end:.1f}"
+    return (
+        f"the rod or the vehicle moves at {times} as nothing in the model does (squared innovations {jump:.1f} times "
+        f"as large as expected): it was pushed or mistracked; {way}"
+    )
 
 
 def check_knowledge(fit: Fit, problem: Problem) -> None:
@@ -138,18 +192,22 @@ def check_knowledge(fit: Fit, problem: Problem) -> None:
 
 def check_noise(noise: dict[str, float], whiteness: dict[str, float], stated: tuple[float, float]) -> None:
     """Raise ``Refusal`` if the noise is not what was stated, or the innovations are not white."""
-    ratios = {name: value / stated[name in ("tilt", "direction")] for name, value in noise.items()}
+    ratios = {name: value / stated[name in ATTITUDES] for name, value in noise.items()}
     loud = max(ratios, key=ratios.__getitem__)
     if ratios[loud] > LARGEST_NOISE:
+        kinds = zip((POSITIONS, ATTITUDES), stated, strict=True)
+        largest = [max((noise[name] for name in names if name in noise), default=told) for names, told in kinds]
         raise Refusal(
             f"the {loud}'s noise comes out {ratios[loud]:.0f} times as large as stated: the model does not explain "
-            "the motion; check the frames and the stamps, or state the noise"
+            "the motion; check the frames and the stamps, or state the noise if it is that large, "
+            f"--noise {largest[0]:.2g},{largest[1]:.2g}"
         )
     name = max(whiteness, key=whiteness.__getitem__)
     if whiteness[name] > LARGEST_CORRELATION:
         raise Refusal(
             f"the innovations of the {name} are not white (correlation {whiteness[name]:.2f}): the model does not "
-            "explain the motion; check the frames, the stamps and whether the rod stands freely in its seat"
+            "explain the motion; check the frames, the stamps, whether the rod stands freely in its seat, and that the "
+            "motion capture does not smooth its poses"
         )
 
 
@@ -186,11 +244,30 @@ def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:
 
     The first tenth of a second does not count.
     """
+    means, _ = _means(time, innovation)
+    at = int(np.argmax(means))
+    return float(means[at]), float(time[at] - time[0])
+
+
+def jumps(time: NDArray, innovation: NDArray, relative: bool = False) -> list[tuple[float, float]]:
+    """Return when, by the rows' clock, innovations are too large for the model: start and end of each stretch, s.
+
+    Too large is a mean square above ``LARGEST_JUMP``; if ``relative``, as where there is no maximum, above that many
+    times the median if this is larger than 1.
+    """
+    means, fair = _means(time, innovation)
+    usual = max(1.0, float(np.median(means[fair]))) if relative and np.any(fair) else 1.0
+    loud = time[means > LARGEST_JUMP * usual]
+    first = np.flatnonzero(np.diff(loud, prepend=-np.inf) > RECOVERY)
+    last = np.append(first[1:] - 1, len(loud) - 1)
+    return [(float(loud[i]), float(loud[j]) + JUMP_SPAN) for i, j in zip(first, last, strict=False)]
+
+
+def _means(time: NDArray, innovation: NDArray) -> tuple[NDArray, NDArray]:
+    """Mean squared innovations over ``JUMP_SPAN`` from each row on, 0 where that is not fair, and where it is."""
     power = np.mean(innovation**2, axis=1)
     total = np.concatenate([[0.0], np.cumsum(power)])
     ends = np.searchsorted(time, time + JUMP_SPAN)
     counts = ends - np.arange(len(time))
     fair = (counts >= max(8, int(np.median(counts)) // 2)) & (time > time[0] + 0.1)
-    means = np.where(fair, (total[ends] - total[:-1]) / np.maximum(counts, 1), 0.0)
-    at = int(np.argmax(means))
-    return float(means[at]), float(time[at] - time[0])
+    return np.where(fair, (total[ends] - total[:-1]) / np.maximum(counts, 1), 0.0), fair

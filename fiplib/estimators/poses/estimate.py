@@ -106,6 +106,16 @@ def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
     """Return the length of the rod from the two bodies of a recorded flight; see ``estimate``."""
     if reason := why_no_length(flight):
         return PoseEstimate(reason=reason)
+    vehicle, rod, notes = bodies_of(flight)
+    found = estimate(vehicle, rod, knowledge)
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def bodies_of(flight: Flight) -> tuple[Body, Body, list[str]]:
+    """Return vehicle and rod of a flight, each set upright where it was tracked, and what was done to them.
+
+    Their times are those of the flight, s since its start.
+    """
     flight = tracked(flight)
     bodies, notes = [], []
     for name, body in (("vehicle", flight.vehicle), ("pendulum", flight.pendulum)):
@@ -115,8 +125,7 @@ def length_of(flight: Flight, knowledge: Knowledge) -> PoseEstimate:
             notes.append(
                 f"the {name}'s body frame leans by {math.degrees(turned):.0f} deg on average and was set upright"
             )
-    found = estimate(*bodies, knowledge)
-    return replace(found, notes=(*notes, *found.notes))
+    return bodies[0], bodies[1], notes
 
 
 def problem_of(vehicle: Body, rod: Body, knowledge: Knowledge, notes: list[str]) -> Problem:

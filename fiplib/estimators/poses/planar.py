@@ -20,6 +20,9 @@ from fiplib.params import GRAVITY, FipError
 LARGEST_SPREAD = 0.1
 """Refused above this relative deviation of L_e: the base is known exactly, and friction leaves most of the doubt."""
 
+PRIOR = Knowledge(noise=(1e-4, 1e-3), lengths=(0.03, 4.0))
+"""What is known of a laboratory with encoders if nothing is stated: its rods may be short."""
+
 LEAST_QUANTA = 4.0
 """Refused where the rod's angle moves by fewer steps of its encoder than this (standard deviation)."""
 
@@ -75,10 +78,10 @@ def planar(
     Args:
         base_time, base: s, and position of the rod's pivot along its path, m.
         angle_time, angle: s, and angle of the rod from upright, rad, positive towards positive positions.
-        knowledge: priors; masses and seat have no meaning here.
+        knowledge: priors, by default ``PRIOR``; masses and seat have no meaning here.
         arm_radius: radius of the circle on which an arm moves the pivot, m; infinite for a cart.
     """
-    knowledge, found = knowledge or Knowledge(), {"notes": []}
+    knowledge, found = knowledge or PRIOR, {"notes": []}
     sensors = ((base_time, base), (angle_time, angle))
     bodies = [cleaned(Body(np.asarray(t, dtype=float), np.asarray(v, dtype=float)[:, None])) for t, v in sensors]
     try:

@@ -3,11 +3,12 @@
 import argparse
 import json
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from fiplib.bags.checks import Finding, passed
+from fiplib.bags.checks import Finding, findings, passed
 from fiplib.estimators.poses.knowledge import UNIFORM, Told
+from fiplib.recording import Flight
 
 if TYPE_CHECKING:  # with its compiled code it takes half a second to import
     from fiplib.estimators.poses.estimate import PoseEstimate
@@ -24,24 +25,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seat-height", type=_told(2e-3), metavar=told,
                         help="of the rod's seat above the vehicle's tracked point, m")  # fmt: skip
     parser.add_argument("--mass-ratio", type=_told(1e-3), metavar=told, help="mass of the rod over rod and vehicle")
+    parser.add_argument("--noise", type=_noise, metavar="METRES,RADIANS",
+                        help="standard deviations of positions and attitudes, within a factor of 3")  # fmt: skip
+    parser.add_argument("--arm-radius", type=_radius, default=math.inf, metavar="METRES",
+                        help="of a CSV file of encoders: radius of the rotary arm (default: a cart)")  # fmt: skip
 
 
-def stated(options: argparse.Namespace) -> dict[str, Told]:
+def stated(options: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of ``Knowledge`` that the options state."""
     known = {
         "inertia_factor": UNIFORM if options.uniform else options.inertia_factor,
         "marker_offset": options.rod_point,
         "seat_height": options.seat_height,
         "mass_ratio": options.mass_ratio,
+        "noise": options.noise,
     }
     return {name: told for name, told in known.items() if told}
 
 
-def answer(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> dict:
+def answer(found: "PoseEstimate", flight: Flight | None = None) -> dict:
     """Return the answer as plain values: lengths in m, null for what is not known, pairs [value, deviation].
 
-    ``notes`` say what reading assumed, ``findings`` what ``bags.checks`` has against the flight.
+    With the flight it says what reading assumed, and what the checks found; encoders have none.
     """
+    notes, against, good = _checked(flight)
     names = ("effective_length", "rod_point", "seat_height", "com_height", "inertia_factor", "uniform_length")
     return {
         "length": _number(found.length),
@@ -50,8 +57,8 @@ def answer(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequenc
         "refused": found.reason,
         "assumed": [*notes, *found.assumed],
         "checks": {
-            "findings": [finding._asdict() for finding in findings],
-            "passed": passed(findings),
+            "findings": [finding._asdict() for finding in against],
+            "passed": good,
             "notes": list(found.notes),
             "noise": found.noise,
             "autocorrelation_of_innovations": found.whiteness,
@@ -62,26 +69,38 @@ def answer(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequenc
     }
 
 
-def in_json(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> str:
+def in_json(found: "PoseEstimate", flight: Flight | None = None) -> str:
     """Return ``answer`` as one JSON object."""
-    return json.dumps(answer(found, notes, findings), indent=2)
+    return json.dumps(answer(found, flight), indent=2)
 
 
-def sentences(found: "PoseEstimate", notes: tuple[str, ...] = (), findings: Sequence[Finding] = ()) -> str:
-    """Return the answer in words."""
+def sentences(found: "PoseEstimate", flight: Flight | None = None) -> str:
+    """Return the answer in words; see ``answer``."""
+    notes, against, good = _checked(flight)
     if found.reason is None:
         interval = "95 %: {:.4f} to {:.4f} m".format(*found.interval)
         lines = [f"length     {found.length:.4f} m +- {found.standard_deviation:.4f} m, {interval}"]
     else:
         lines = [f"refused    {found.reason}"]
     told = {"seat": found.seat_height, "rod point": found.rod_point}
+    if flight is None:  # two encoders tell this one best
+        told["L_e"] = found.effective_length
     lines += [f"{name:<10} {value:.4f} m +- {deviation:.4f} m"
               for name, (value, deviation) in told.items() if math.isfinite(value)]  # fmt: skip
-    against = [finding.sentence for finding in findings if finding.sentence != found.reason]
-    checked = (*against, *found.notes, f"passed: {', '.join(passed(findings)) or 'none'}")
+    checked = [finding.sentence for finding in against if finding.sentence != found.reason] + list(found.notes)
+    if flight is not None:
+        checked.append(f"passed: {', '.join(good) or 'none'}")
     for word, said in (("assumed", (*notes, *found.assumed)), ("checks", checked)):
         lines += [f"{'' if index else word:<10} {sentence}" for index, sentence in enumerate(said)]
     return "\n".join(lines)
+
+
+def _checked(flight: Flight | None) -> tuple[tuple[str, ...], list[Finding], list[str]]:
+    """What reading assumed, what speaks against the flight, and the checks that it passed."""
+    if flight is None:
+        return (), [], []
+    against = findings(flight)
+    return flight.notes, against, passed(flight, against)
 
 
 def _number(value: float) -> float | None:
@@ -96,3 +115,19 @@ def _told(tolerance: float) -> Callable[[str], Told]:
         return Told(float(value), float(stated or tolerance))
 
     return value_and_tolerance
+
+
+def _noise(text: str) -> tuple[float, float]:
+    """Read METRES,RADIANS."""
+    metres, _, radians = text.partition(",")
+    noise = float(metres), float(radians)
+    if not all(math.isfinite(one) and one > 0.0 for one in noise):
+        raise argparse.ArgumentTypeError(f"{text} is not two positive numbers, METRES,RADIANS, as in 0.002,0.01")
+    return noise
+
+
+def _radius(text: str) -> float:
+    """Read a radius in m."""
+    if not (radius := float(text)) > 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number of metres")
+    return radius

@@ -1,20 +1,16 @@
-"""The estimate of a flight that goes on, and how the interval of a recorded one shrank."""
+"""The estimate of a flight that goes on."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiplib.estimators.poses.checks import largest_jump
-from fiplib.estimators.poses.estimate import PoseEstimate, solved
+from fiplib.estimators.poses.estimate import solved
 from fiplib.estimators.poses.filter import MU, R, Rows, State, run
 from fiplib.estimators.poses.fit import STEP, Fit, Value, inverse, maximise, neighbours
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import RISE_HALF, Body, cleaned, rows_of
-
-FIRST = 1.0
-"""Seconds from the first pose after which a history begins."""
 
 RECENT = 0.3
 """How far back in s innovations are looked at for a jump."""
@@ -59,37 +55,6 @@ class Running:
     def jump(self) -> float:
         """The largest mean squared innovation of late, see ``checks.largest_jump``."""
         return largest_jump(*self._recent)[0]
-
-
-class History(NamedTuple):
-    """An answer, and what it was before all poses were in: seconds from the first pose (n,), lengths and their
-    standard deviations (n,), m. The arrays are empty if the answer was refused before there was a maximum."""
-
-    answer: PoseEstimate
-    time: NDArray
-    length: NDArray
-    standard_deviation: NDArray
-
-
-def history(vehicle: Body, rod: Body, knowledge: Knowledge | None = None, points: int = 60) -> History:
-    """Return the length of a flight of any duration, and how its interval shrank; see ``estimate``.
-
-    The earlier lengths are each one Newton step from the maximum for the whole flight. Their times are spaced evenly in
-    logarithm. What the answer's deviation holds for a rod that may not be uniform is part of theirs.
-    """
-    answer, problem, fit = solved(vehicle, rod, knowledge)
-    if problem is None or fit is None:
-        return History(answer, *np.zeros((3, 0)))
-    rows = problem.rows
-    doubt = max(answer.standard_deviation**2 - fit.length.deviation**2, 0.0) if answer.reason is None else 0.0
-    running, first = Running(fit, rows.time[0], rows.value.shape[1]), 0
-    times, found = np.geomspace(FIRST, max(rows.time[-1] - rows.time[0], 2.0 * FIRST), points), []
-    for last in np.searchsorted(rows.time, rows.time[0] + times, side="right"):
-        running.add(rows.part(slice(first, last)))
-        length, deviation = running.length
-        found.append((length, math.sqrt(deviation**2 + doubt)))
-        first = last
-    return History(answer, times, *np.array(found).T)
 
 
 class Stream:
