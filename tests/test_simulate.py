@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fiplib.dynamics import PLANT, prediction_model, rk4
+from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.mpc import Status
 from fiplib.params import AXES, GRAVITY, PHI, THETA, A, B, Params, X, Y
 from fiplib.pilot import Circle, Command, Hover
 from fiplib.recording import EPOCH, Event, Flight, MemoryRecorder, Poses, Series
 from fiplib.simulate import SCENARIOS, LengthUpdates, Mocap, Plant, Push, Scenario, SimulatedVehicle, fly
+from fiplib.studies.step_errors import one_step_errors, true_states
 
 PARAMS = Params()
 FIELDS = {Poses: ("stamp", "received", "position", "orientation"), Series: ("stamp", "values")}
@@ -229,21 +230,10 @@ def test_the_noise_levels_of_the_filter_are_those_measured_in_the_simulator():
     # the model's own error, not that of the rod's inertia or of its seat
     params = PARAMS.replace(pendulum__gyration_ratio=0.0, vehicle__seat_height=0.0, piloting__seat_height=0.0)
     flight = flown(duration=25.0, reference=Circle(0.4, 8.0), params=params)
-    states, commands = flight.state.values, flight.command.values
-    exposed = flight.time(flight.state) - params.simulation.mocap_latency
-    at = np.searchsorted(flight.time(flight.truth_state), exposed - 1e-6)
-    true_states = flight.truth_state.values[at, :10]
-    measured = (states - true_states).var(axis=0)
-    ticks = round(params.estimation.sample_period * params.piloting.control_rate)
-    model = rk4(prediction_model(), params.estimation.sample_period)
-    errors = [
-        true_states[start + ticks]
-        - np.array(model(true_states[start], commands[start : start + ticks, :2].mean(0), 1.0)).ravel()
-        for start in range(0, len(states) - ticks, ticks)
-    ]
+    measured = (flight.state.values - true_states(flight)).var(axis=0)
     for chosen, found in (
         (params.estimation.measurement_noise, measured),
-        (params.estimation.process_noise, np.var(errors, axis=0)),
+        (params.estimation.process_noise, one_step_errors(flight).var(axis=0)),
     ):
         ratio = found / np.array(chosen)
         assert (ratio > 0.5).all() and (ratio < 2.0).all(), ratio

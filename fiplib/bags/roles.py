@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 
 from fiplib.bags.decoding import COMMANDS, TWIST, Decoder, carries_poses
 from fiplib.bags.sources import Source
-from fiplib.recording import ROLES, TOPICS, BagError
+from fiplib.recording import ROLES, TOPICS, BagError, Flight
 
 _T = TypeVar("_T")
 
@@ -21,6 +21,7 @@ _VEHICLE = re.compile(r"quad|drone|copter|uav|mav|vehicle|crazyflie|(?<![a-z])(c
 _MOCAP = re.compile(r"mocap|vrpn|natnet|optitrack|vicon|qualisys|motive|rigid")
 _NOT_MEASURED = re.compile(r"setpoint|goal|target|reference|desired|command|cmd|truth")
 _COMMAND = re.compile(r"setpoint|command|cmd|target")
+_ROLE = re.compile(r"(?:^|, )(vehicle|pendulum|command)(?: \(([^)]*)\))?(?=, |$)")  # as a flight's topics have it
 _HIGHER = 0.1  # m by which the rod lies above the vehicle at least, for heights to say which is which
 _SELDOM = 0.1  # share of the messages of the most frequent poses below which others are not motion capture
 _PEEK = 20  # blocks of a topic in which its bodies are looked for
@@ -70,6 +71,20 @@ def places_of(source: Source, path: Path, given: Mapping[str, str]) -> tuple[dic
                 )
             places[role] = Place(place.topic, *bodies)
     return places, tuple(notes)
+
+
+def choices(source: Source) -> dict[str, list[str]]:
+    """Return what could be the vehicle, the pendulum and the command of a bag, as names that ``read`` takes."""
+    kinds = [(topic, stored) for topic, stored in sorted(source.topics.items()) if stored.count]
+    places = [
+        str(Place(topic, body)) for topic, stored in kinds if carries_poses(stored) for body in _bodies(source, topic)
+    ]
+    return dict.fromkeys(BODIES, places) | {"command": [topic for topic, stored in kinds if stored.type in COMMANDS]}
+
+
+def chosen(flight: Flight) -> dict[str, str]:
+    """Return where the vehicle, the pendulum and the command of a flight were read from; see ``choices``."""
+    return {role: str(Place(info.topic, body)) for info in flight.topics for role, body in _ROLE.findall(info.role)}
 
 
 def _guessed(source: Source, known: Mapping[str, Place]) -> dict[str, tuple[Place, str]]:

@@ -126,7 +126,7 @@ def fig5_estimation(flight: Flight) -> Figure:
     axes.step(time, used, where="post", color=ORANGE, label="used")
     axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
     axes.axvline(claims.PAPER["G3.time"], color=GREY, ls="--", lw=0.7, label="paper converged")
-    axes.set(ylabel="length (m)", ylim=(0.75, 1.75))
+    axes.set(ylabel="length (m)", ylim=(0.7, 1.75))
     axes.legend(loc="upper right", ncols=2)
     return figure
 

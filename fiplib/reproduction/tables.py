@@ -13,6 +13,9 @@ from fiplib.reproduction.sources import csv_text
 NONE = "--"
 """A cell without a value."""
 
+STACKED = 14
+"""Characters of a column's name above which LaTeX sets it in two lines: so wide tables keep a readable size."""
+
 Facts = dict[tuple[str, ...], str]
 """Numbers as the report prints them, by the words of their names."""
 
@@ -35,9 +38,24 @@ class Table(NamedTuple):
         return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace(r"\,", " ")
 
     def latex(self) -> str:
-        lines = [" & ".join(row) + r" \\" for row in (self.header, *self.rows)]
+        names = (stacked(name, side) for name, side in zip(self.header, columns(self.alignment), strict=True))
+        lines = [" & ".join(row) + r" \\" for row in (tuple(names), *self.rows)]
         body = "\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"])
         return f"\\begin{{tabular}}{{{self.alignment}}}\n{body}\n\\end{{tabular}}\n"
+
+
+def columns(alignment: str) -> list[str]:
+    """The letters of a LaTeX tabular's columns: ``@{}lr`` has l and r."""
+    return re.findall("[lrc]", re.sub(r"@\{[^}]*\}", "", alignment))
+
+
+def stacked(name: str, side: str) -> str:
+    """A column's name for LaTeX: a long one in two lines, broken at the space nearest to its middle, in no formula."""
+    spaces = [at for at, letter in enumerate(name) if letter == " " and name[:at].count("$") % 2 == 0]
+    if len(plain(name)) <= STACKED or not spaces:
+        return name
+    at = min(spaces, key=lambda at: abs(len(plain(name[:at])) - len(plain(name[at:]))))
+    return rf"\shortstack[{side}]{{{name[:at]}\\{name[at + 1 :]}}}"
 
 
 def number(value: float, decimals: int) -> str:
@@ -47,6 +65,7 @@ def number(value: float, decimals: int) -> str:
 
 def plain(cell: str) -> str:
     """A cell without LaTeX markup: ``$-$0.5`` is -0.5, ``$l_0$`` is l_0."""
+    cell = re.sub(r"\\shortstack\[\w\]\{(.*)\}", r"\1", cell).replace(r"\\", " ")
     for markup, text in {r"\,": " ", r"\%": "%", r"\times": "*", r"\pm": "+-", "$": ""}.items():
         cell = cell.replace(markup, text)
     cell = re.sub(r"\\dot (\w)", r"\1_dot", cell)

@@ -41,13 +41,14 @@ STUDIES = {
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
+    "step_errors": "fiplib.studies.step_errors",
 }
 """Address of each study by name, see ``load``."""
 
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation"),
+    *("seat", "poses", "observers", "ablation", "step_errors"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 

@@ -184,7 +184,7 @@ def judged(rows: Rows, data: str, model: str, search: str) -> Judged:
 
 
 def table16_ablation(rows: Rows) -> Table:
-    """Table 15: bias, RMS error, coverage and cost of every combination of data, model and search."""
+    """Table 16: bias, RMS error, coverage and cost of every combination of data, model and search."""
     lines, names = [], {"ga": "GA", "grid": "grid", "brent": "Brent"}
     for data, model, search in ARMS:
         found = judged(rows, data, model, search)

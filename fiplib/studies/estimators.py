@@ -220,7 +220,7 @@ def fig10_intervals(flight: Flight) -> Figure:
     axes.plot(flight.time(flight.length)[1:], recorded, ".", ms=2.5, color=ORANGE, label="GA, recorded in flight")
     axes.errorbar(times, lengths, 1.96 * deviations, fmt=".", ms=2.5, lw=0.6, color=BLUE, label="raw poses, 95 %")
     axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
-    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.9, 1.1))
+    axes.set(xlabel="time (s)", ylabel="length (m)", xlim=(0, flight.duration), ylim=(0.8, 1.1))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     origin(figure, f"{flight.metadata['origin']}, {flight.path.name}")
     return figure

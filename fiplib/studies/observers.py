@@ -197,9 +197,9 @@ def fig18_observers(rows: Rows) -> Figure:
 
 def table15_observers(rows: Rows) -> Table:
     """Table 15: the observers: commands, errors, margins, pushes, and what is left to tell the length."""
-    lines, quiet = [], ("hover", "circle")
+    found, quiet = [], ("hover", "circle")
     for observer in OBSERVED:
-        cells = [observer]
+        cells: list[str] = []
         for column, factor in (("rate", 1.0), ("error", 1e3)):
             cells += [number(factor * mean(rows, flight, observer, column)[0], 1) for flight in quiet]
         loop, lean = _rows(rows, "hover", observer)[0], mean(rows, "pushes", observer, "lean")[0]
@@ -208,13 +208,14 @@ def table15_observers(rows: Rows) -> Table:
         cells += [number(100 * lean, 1), f"{lengths[0]:.1f}--{lengths[-1]:.1f}" if lengths else NONE]
         for column in ("bound", "deviation", "deviation_seat"):
             cells += [number(1e3 * mean(rows, flight, observer, column)[0], 1) for flight in quiet]
-        lines.append(tuple(cells))
-    header = (
-        "Observer", "Rates, hover (deg/s)", "circle (deg/s)", "Error, hover (mm)", "circle (mm)", "Delay margin (ms)",
-        "Gain margins", "Lean, pushed (cm)", "Lengths that survive (m)", "Bound, hover (mm)", "circle (mm)",
-        "Poses alone, hover (mm)", "circle (mm)", "Seat known, hover (mm)", "circle (mm)",
+        found.append(cells)
+    names = (
+        "Rates, hover (deg/s)", "Rates, circle (deg/s)", "Error, hover (mm)", "Error, circle (mm)", "Delay margin (ms)",
+        "Gain margins", "Lean, pushed (cm)", "Lengths that survive (m)", "Bound, hover (mm)", "Bound, circle (mm)",
+        "Poses alone, hover (mm)", "Poses alone, circle (mm)", "Seat known, hover (mm)", "Seat known, circle (mm)",
     )  # fmt: skip
-    return Table(header, lines, "l" + "r" * (len(header) - 1))
+    lines = [tuple(line) for line in zip(names, *found, strict=True)]
+    return Table(("Quantity", *OBSERVED), lines, "l" + "r" * len(OBSERVED))
 
 
 def facts(rows: Rows) -> Facts:

@@ -139,6 +139,10 @@ def fig17_seat(rows: Rows) -> Figure:
         )
     for axes, label in zip(panels[:, 0], ("share that stays up", "rms error (cm)", "rms rate (deg/s)"), strict=True):
         axes.set(ylabel=label, ylim=(0, None))
+    panels[1, 0].set(
+        yscale="log", ylim=(3, 120), yticks=(5, 10, 20, 50, 100), yticklabels=("5", "10", "20", "50", "100")
+    )
+    panels[1, 0].minorticks_off()
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     origin(figure, f"{len(SEEDS)} simulated flights each; dotted: true; none: seat at the frame")
     return figure

@@ -179,7 +179,7 @@ def table7_weights(rows: Rows) -> Table:
 
 
 def facts(rows: Rows) -> Facts:
-    """Return how many candidates pass, as the report states."""
+    """Return how many candidates pass, and how the default fares, as the report states."""
     alike = [row for row in rows if row["y_share"] == 1.0]
     both = [row for row in alike if row["holds_C2.gain"] == 1 and 1 in (row["holds_C2.y"], row["holds_C2.delay"])]
     return {
@@ -187,4 +187,5 @@ def facts(rows: Rows) -> Facts:
         ("stable",): f"{sum(row['linear'] == 1 for row in alike)}",
         ("pass",): f"{sum(row['passes'] == 1 for row in alike)}",
         ("both",): f"{len(both)}",
+        ("default", "growth"): f"{next(row['growth_rate'] for row in rows if row['candidate'] == 0):.3f}",
     }

@@ -1,160 +1,117 @@
-"""The page that explores a bag: choose a flight, scrub a window, refit its length, compare estimators, export.
+"""The page that explores a bag: read any recording, get its rod's length, scrub a window, compare estimators, export.
 
 ``Explorer`` holds the widgets and what happens when they are moved; its panels are displayed by the notebook
-``07-explore-a-bag``. ``fit_window`` and ``compare`` compute, ``explorer_plots`` draws.
+``07-explore-a-bag``. ``explorer_bag`` reads, ``explorer_fits`` computes, ``explorer_plots`` draws.
 """
 
 import csv
 import html
 import math
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import ipywidgets as widgets
 import numpy as np
 
-from fiplib import bags, ga, kalman, replay
+from fiplib import bags, kalman, replay
 from fiplib.estimators import ESTIMATORS
-from fiplib.estimators.base import Estimate
-from fiplib.estimators.checks import checked
-from fiplib.kalman import Window
-from fiplib.params import FipError, Params
-from fiplib.recording import TOPICS, Flight
-from fiplib.reproduction.style import BLUE, ORANGE
-from fiplib.teaching.explorer_plots import Picture, WindowFit, draw_flight, draw_refit, draw_space
+from fiplib.estimators.poses.knowledge import Knowledge
+from fiplib.params import Params
+from fiplib.recording import Flight
+from fiplib.reproduction import length_figure
+from fiplib.teaching.explorer_bag import Chooser
+from fiplib.teaching.explorer_fits import compare, fit_window, stated
+from fiplib.teaching.explorer_plots import Picture, WindowFit, draw_flight, draw_refit, draw_space, image_of
+from fiplib.teaching.explorer_widgets import (
+    PROBLEMS,
+    Panel,
+    Progress,
+    box,
+    button,
+    folded,
+    number,
+    problem,
+    row,
+    said,
+    sized,
+    table,
+    text,
+)
 
-CONVENTIONS = {
-    "fip": "/mocap/{}/pose",
-    "vrpn_mocap": "/vrpn_mocap/{}/pose",
-    "natnet_ros2": "/natnet_ros/{}/pose",
-    "mocap_optitrack": "/{}/pose",
-}
-"""Names that the usual motion-capture drivers give to the pose of a body."""
+if TYPE_CHECKING:  # compiled code: half a second to import
+    from fiplib.estimators.poses.estimate import PoseEstimate
+    from fiplib.estimators.poses.history import History, Stretch
 
 PERIODS = {"1/120": 1 / 120, "1/60": 1 / 60, "1/30": 1 / 30, "0.05": 0.05, "0.1": 0.1, "0.2": 0.2}
 """Sampling periods in s that are offered, all whole numbers of control ticks at 120 Hz."""
 
-LANDSCAPE_SAMPLES = 90_000
-"""Lengths times samples of the landscape that is drawn: about 0.1 s."""
+STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Steps of the slider in s; the first is taken of which a flight has at most a thousand."""
 
-PROBLEMS = (FipError, ValueError, OSError)
-"""What is the user's to mend, and so is said in the page."""
+RECOMMENDED = "poses"
+"""The recommended estimator in the table of results: ``replay.estimate``, which needs the two bodies alone."""
+
+ARRAYS = {"NPZ": ".npz", "CSV": ".csv", "no arrays": ""}
+"""What can be exported beside pictures and results."""
 
 STALE = "<div style='color: #666666; padding: 2px 14px'>The settings have changed since: press Refit.</div>"
-
-
-def fit_window(window: Window, params: Params, seed: int) -> WindowFit:
-    """Landscape, genetic algorithm and best length of a window.
-
-    Raises ValueError as ``kalman.fitness``, or if the filter overflows at every length.
-    """
-    began, estimation = time.perf_counter(), params.estimation
-    chromosome = ga.Chromosome.of(estimation)
-    count = min(chromosome.codes, LANDSCAPE_SAMPLES // len(window.states))
-    codes = np.unique(np.linspace(0, chromosome.codes - 1, count).round().astype(int))
-    lengths = chromosome.length(codes)
-    fitness = kalman.fitness(lengths, window, estimation)
-    if not np.isfinite(fitness).any():
-        raise ValueError("the filter overflows at every length: take a shorter window or another reading")
-    coarse = int(fitness.argmin())
-    near = chromosome.length(np.arange(codes[max(coarse - 1, 0)], codes[min(coarse + 1, len(codes) - 1)] + 1))
-    best = float(near[kalman.fitness(near, window, estimation).argmin()])
-    # settings change with every run here: a table of all gains would take ten times as long as it saves
-    found = ga.estimate(window, params, np.random.default_rng(seed))
-    return WindowFit(window, params, lengths, fitness, best, found, time.perf_counter() - began)
-
-
-def stated(fit: WindowFit) -> Estimate:
-    """What may be stated of the genetic algorithm's length: refused at an end of the interval, or by its residuals."""
-    return checked(Estimate(fit.found.length, fit.found.standard_deviation), fit.window, fit.params)
-
-
-def compare(
-    flight: Flight, window: Window, start: float, end: float, params: Params, seed: int
-) -> Iterator[tuple[str, Estimate, float]]:
-    """Every estimator on the same stretch of flight: name, estimate (with its reason if refused), seconds taken."""
-    for name, estimator in ESTIMATORS.items():
-        began = time.perf_counter()
-        try:
-            data = window if estimator.kind == "states" else replay.raw_window_between(flight, start, end)
-            found = estimator.answer(data, params, np.random.default_rng(seed))
-        except (*PROBLEMS, RuntimeError) as error:  # the latter is CasADi's
-            found = Estimate(math.nan, math.nan, str(error))
-        yield name, found, time.perf_counter() - began
-
-
-class Panel(widgets.VBox):
-    """A box of widgets; where no page can show it, one line says what it is."""
-
-    def __init__(self, what: str, *children: widgets.Widget) -> None:
-        super().__init__(children, layout=widgets.Layout(margin="4px 0 8px 0", overflow="hidden"))
-        self._what = what
-
-    def __repr__(self) -> str:
-        return f"[{self._what}: widgets, to be used in JupyterLab]"
 
 
 class Explorer:
     """Widgets, and what they do. Problems with a bag or a setting are text in the page (``message``, ``answer``).
 
-    Bags of the folder ``data`` are offered, ``first`` is shown first; ``export`` is the folder to write to, unless the
-    page says another.
+    Folders are browsed from ``data``, whose bag ``first`` is shown first; ``export`` is the folder to write to, unless
+    the page says another.
 
-    ``flight`` is shown, or None; ``refits`` are those of this flight, in order; ``rows`` is the table of results, one
-    dictionary per estimate, lengths in m, times in s. ``choose, look, fit, rivals, save`` are panels to be displayed.
+    ``flight`` is shown, or None; ``whole`` is the recommended estimate from all of it, ``windows`` are its estimates
+    from parts, ``refits`` the genetic algorithm's of this flight, in order; ``rows`` is the table of results, one
+    dictionary per estimate, lengths in m, times in s; ``written`` are the files of the last export by what they show.
+    ``choose, look, fit, history, rivals, save`` are panels to be displayed; ``chooser`` reads the bags.
     """
 
     def __init__(self, data: Path, export: Path, first: str = "estimate-1.4") -> None:
-        self.data, self.flight = Path(data), None
+        self.flight: Flight | None = None
+        self.whole: PoseEstimate | None = None
         self.refits: list[WindowFit] = []
+        self.windows: list[Stretch] = []
         self.rows: list[dict[str, Any]] = []
-        self._make_widgets(export, first)
+        self.written: dict[str, Path] = {}
+        self._shrunk: History | None = None
+        self._window: Stretch | None = None
+        self._make_widgets(export)
+        self.chooser = Chooser(Path(data), self.folder, self.take)
+        self.message = self.chooser.message
         self._make_panels()
         self._connect()
-        self.load_bag()
+        if (Path(data) / first).exists():
+            self.chooser.open(Path(data) / first)
+        else:
+            self.chooser.read()
 
     # --- what happens
 
-    def load_bag(self, *_: object) -> None:
-        """Read the bag of the path, else the one chosen; on a problem, say it and keep the flight that is shown."""
-        if self.path.value.strip():
-            self.bag.value = ""
-        elif not self.bag.value:
-            self.message.value = _problem("Choose a bag from the list, or give the path of one.")
-            return
-        path = self.data / self.bag.value if self.bag.value else Path(self.path.value.strip()).expanduser()
-        topics = {role: entry.value.strip() for role, entry in self.topics.items()}
-        try:
-            flight = bags.read(path, {role: name for role, name in topics.items() if name != TOPICS[role]})
-            flight, _ = replace(flight, state=replay.states(flight)), flight.params
-        except PROBLEMS as error:
-            still = "" if self.flight is None else f"\nThe page still shows {self.flight.path.name}."
-            self.message.value = _problem(f"{error}{still}")
-            return
+    def take(self, flight: Flight, progress: Progress) -> None:
+        """Show a flight that was read: its length first, then the pictures."""
         self.flight = None  # nothing is drawn while the slider adapts
         self._set_span(flight)
-        self.flight, self.refits, self.rows = flight, [], []
-        self._describe()
-        self.compared.value = self.exported.value = ""
+        self.refits, self.rows, self.windows, self._shrunk, self._window = [], [], [], None, None
+        self.compared.value = self.exported.value = self.answer.value = self.parts.value = ""
+        self.length.value = ""
+        self.over_windows.value = b""
+        self.over_windows.layout.display = "none"
+        self.chooser.show(flight)
+        progress.say("estimating the length from the whole flight", 0.3)
+        self.whole, self.flight = replay.estimate(flight), flight
+        self._add_row(RECOMMENDED, self.whole, (0.0, flight.duration))
+        self._show_length()
+        progress.say("deriving the states", 0.6)
+        self.flight = flight = replace(flight, state=replay.states(flight))
+        progress.say("drawing", 0.8)
         self.draw()
-        self._show_refits()
-
-    def take_bag(self, *_: object) -> None:
-        """Load a bag of the list, whose topics have our names."""
-        if self.bag.value:
-            self.path.value = ""
-            self.convention.value, self.vehicle_name.value, self.pendulum_name.value = "fip", "quad", "pendulum"
-            for role, entry in self.topics.items():
-                entry.value = TOPICS[role]
-            self.load_bag()
-
-    def take_own(self, *_: object) -> None:
-        """Load a bag by its path when path or topics change: a page may deliver the press of *Load* before the text."""
-        if self.path.value.strip():
-            self.load_bag()
+        progress.say("estimating the length from the window", 0.9)
+        self.press_refit()
 
     def draw(self, *_: object) -> None:
         """Bring the two views of the flight up to date."""
@@ -165,18 +122,48 @@ class Explorer:
             self.in_space.show()
 
     def press_refit(self, *_: object) -> None:
-        """Refit the window with the settings of the page."""
+        """Estimate the length from the window: from the poses alone, and by the genetic algorithm."""
         if self.flight is None:
             return
+        from fiplib.estimators.poses import history
+
+        self._window = history.between(self.flight, *self.span.value, Knowledge.of_flight(self.flight))
+        self._add_row(RECOMMENDED, self._window.found, self.span.value)
+        why = None
         try:
             window, params = replay.window_between(self.flight, *self.span.value, self._settings())
             result = fit_window(window, params, self.seed.value)
+            self.refits.append(result)
+            self._add_row("ga", stated(result), self.span.value, params, len(self.refits), result.best)
         except PROBLEMS as error:
-            self.answer.value = _problem(error)
+            why = str(error).removeprefix(f"{self.flight.path}: ")
+        self._show_refits(why)
+        self._show_length()
+
+    def press_history(self, *_: object) -> None:
+        """Estimate windows that follow each other, and how the interval of the whole flight shrank; draw both."""
+        if self.flight is None:
             return
-        self.refits.append(result)
-        self._add_row("ga", stated(result), params, len(self.refits), result.best)
-        self._show_refits()
+        from fiplib.estimators.poses import history
+
+        flight, knowledge = self.flight, Knowledge.of_flight(self.flight)
+        self.windows = []
+        with self.progress:
+            self.progress.say(f"the whole flight of {flight.duration:.1f} s", 0.0)
+            self._shrunk = history.length_of_flight(flight, knowledge, history.POINTS)
+            for stretch in history.windows(flight, knowledge):
+                self.windows.append(stretch)
+                words = f"{stretch.start:.1f} to {stretch.end:.1f} s of {flight.duration:.1f} s"
+                self.progress.say(words, stretch.end / flight.duration)
+        self.over_windows.value = image_of(length_figure.length_figure(flight, self.windows, self._shrunk))
+        self.over_windows.layout.display = None
+        for one in self.windows:
+            self._add_row(RECOMMENDED, one.found, (one.start, one.end))
+        lines = [
+            (f"{one.start:.1f} to {one.end:.1f}", *_length_cells(one.found), one.found.reason or "")
+            for one in self.windows
+        ]
+        self.parts.value = table(("window (s)", "length (m)", "95 % interval (m)", ""), lines)
 
     def press_compare(self, *_: object) -> None:
         """Give the window to every estimator; rows appear as they are done."""
@@ -185,38 +172,71 @@ class Explorer:
         try:
             window, params = replay.window_between(self.flight, *self.span.value, self._settings())
         except PROBLEMS as error:
-            self.compared.value = _problem(error)
+            self.compared.value = problem(error)
             return
         lines: list[tuple[str, ...]] = []
         for name, found, seconds in compare(self.flight, window, *self.span.value, params, self.seed.value):
             sigma = found.standard_deviation
-            shown = (_number(found.length, ".4f"), _number(2 * sigma, ".3f"), f"{1000 * seconds:.0f}")
+            shown = (number(found.length, ".4f"), number(2 * sigma, ".3f"), f"{1000 * seconds:.0f}")
             lines.append((name, ESTIMATORS[name].kind, *shown, found.reason or ""))
-            self._add_row(name, found, params)
+            self._add_row(name, found, self.span.value, params)
             words = f"{self._window_words(params)}; {self._truth_words()}"
-            self.compared.value = _box(words) + _table(("estimator", "takes", "length (m)", "2σ (m)", "ms", ""), lines)
+            self.compared.value = box(words) + table(("estimator", "takes", "length (m)", "2σ (m)", "ms", ""), lines)
+
+    def press_cut(self, *_: object) -> None:
+        """Write the window into a new bag."""
+        self.chooser.cut(*self.span.value)
 
     def press_export(self, *_: object) -> None:
-        """Write the pictures and the table of results, and say where."""
+        """Write the pictures, the arrays and the table of results, in place of earlier ones, and say where."""
         if self.flight is None:
             return
         folder, name = Path(self.folder.value.strip() or ".").expanduser(), self.flight.path.name.removesuffix(".mcap")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            written = [folder / f"{name}-{what}.png" for what in ("flight", "space", "refit")]
-            for path, picture in zip(written, (self.over_time, self.in_space, self.found), strict=True):
-                picture.figure.savefig(path, dpi=200, metadata={"Software": None})
-            written.append(folder / f"{name}-results.csv")
-            with written[-1].open("w", newline="", encoding="utf-8") as stream:
-                table = csv.DictWriter(stream, self.rows[0] if self.rows else (), lineterminator="\n")
-                table.writeheader()
-                table.writerows(self.rows)
-        except OSError as error:
-            self.exported.value = _problem(f"{folder}: cannot be written to ({error.strerror})")
+            with self.exporting:
+                folder.mkdir(parents=True, exist_ok=True)
+                self.written = self._written(folder, name)
+        except PROBLEMS as error:
+            words = f"cannot be written to ({error.strerror})" if isinstance(error, OSError) else error
+            self.exported.value = problem(f"{folder}: {words}")
             return
-        names = html.escape(", ".join(path.name for path in written))
+        names = html.escape(", ".join(path.name for path in self.written.values()))
         where = f"<code>{html.escape(str(folder.resolve()))}</code>"
-        self.exported.value = _box(f"Wrote {names} ({len(self.rows)} estimates) to<br>{where}")
+        self.exported.value = box(f"Wrote {names} ({len(self.rows)} estimates) to<br>{where}")
+
+    def _written(self, folder: Path, name: str) -> dict[str, Path]:
+        figures = {"flight": self.over_time.figure, "space": self.in_space.figure, "refit": self.found.figure}
+        if self._shrunk:
+            figures["length"] = length_figure.length_figure(self.flight, self.windows, self._shrunk)
+        files = {f"{what}{end}": (what, end) for what in figures for end in length_figure.FORMATS}
+        files = {what: folder / f"{name}-{what}" for what in files}
+        for at, (what, path) in enumerate(files.items()):
+            self.exporting.say(f"writing {path.name}", at / (len(files) + 4))
+            path.unlink(missing_ok=True)
+            figure = figures[what.partition(".")[0]]
+            if what.startswith("length"):
+                length_figure.save(figure, path)
+            else:
+                figure.savefig(path, dpi=200, metadata=length_figure.FORMATS[path.suffix])
+        flight = self.flight
+        if self.windows:
+            from fiplib.estimators.poses import history
+
+            if not history.estimated(flight):
+                flight = replace(flight, length=history.series_of(flight, iter(self.windows)))
+        kinds = {"poses": True, "states": True, "commands": flight.command, "estimates": flight.length}
+        for what in (what for what, there in kinds.items() if there is not None and self.arrays.value):
+            path = folder / f"{name}-{what}{self.arrays.value}"
+            self.exporting.say(f"writing {path.name}", 0.8)
+            path.unlink(missing_ok=True)
+            bags.export(flight, path, what)
+            files[path.name.removeprefix(f"{name}-")] = path
+        files["results.csv"] = folder / f"{name}-results.csv"
+        with files["results.csv"].open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, self.rows[0] if self.rows else (), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.rows)
+        return files
 
     # --- words and numbers
 
@@ -230,24 +250,28 @@ class Explorer:
             estimation__measurement_noise=tuple(self.measurement.value * np.array(estimation.measurement_noise)),
         )
 
-    def _add_row(self, name: str, found: Any, params: Params, refit: int | None = None, best: float = math.nan) -> None:
-        estimation = params.estimation
+    def _add_row(
+        self, name: str, found: Any, span: Sequence[float], params: Params | None = None, refit: int | None = None,
+        best: float = math.nan,
+    ) -> None:  # fmt: skip
+        """Add an estimate to the table; without ``params`` it depends on none of the page's settings."""
+        estimation = params.estimation if params else None
         self.rows.append({
             "refit": refit,
             "estimator": name,
-            "length_m": _number(found.length),
-            "standard_deviation_m": _number(found.standard_deviation),
-            "least_fitness_at_m": _number(best),
+            "length_m": number(found.length),
+            "standard_deviation_m": number(found.standard_deviation),
+            "least_fitness_at_m": number(best),
             "stated_by_bag_m": self._truth(),
-            "window_start_s": f"{self.span.value[0]:.2f}",
-            "window_end_s": f"{self.span.value[1]:.2f}",
-            "samples": estimation.window,
-            "sample_period_s": _number(estimation.sample_period),
-            "reading": estimation.fitness,
-            "process_noise_factor": _number(self.process.value),
-            "measurement_noise_factor": _number(self.measurement.value),
-            "seed": self.seed.value,
-            "remark": getattr(found, "reason", None),
+            "window_start_s": f"{span[0]:.2f}",
+            "window_end_s": f"{span[1]:.2f}",
+            "samples": estimation and estimation.window,
+            "sample_period_s": estimation and number(estimation.sample_period),
+            "reading": estimation and estimation.fitness,
+            "process_noise_factor": estimation and number(self.process.value),
+            "measurement_noise_factor": estimation and number(self.measurement.value),
+            "seed": estimation and self.seed.value,
+            "remark": found.reason,
             "bag": self.flight.path.name,
             "origin": self.flight.metadata["origin"],
         })  # fmt: skip
@@ -266,151 +290,138 @@ class Explorer:
         start, end = self.span.value
         return f"window {start:.2f} to {end:.2f} s, {params.estimation.window} samples"
 
-    def _describe(self) -> None:
-        flight, why = self.flight, replay.why_not_refit(self.flight)
-        made = {"simulated": "simulated, no real vehicle", "real": "a real flight", "unknown": "of unknown origin"}
-        words = (
-            f"<b>{html.escape(flight.path.name)}</b>: {made[flight.metadata['origin']]}; {flight.duration:.1f} s, "
-            f"{len(flight.vehicle.stamp)} poses of the vehicle, {len(flight.pendulum.stamp)} of the rod; "
-            + ("no commands" if flight.command is None else f"{len(flight.command.stamp)} commands")
-        )
-        self.press.disabled = self.rival.disabled = flight.command is None
-        self.message.value = _box(words + (f"<br>{html.escape(why)}" if why else ""))
-
     def _set_span(self, flight: Flight) -> None:
         """The flight's own window, in the middle of the flight."""
         estimation, end = flight.params.estimation, flight.duration
         seconds = min((estimation.window - 1) * estimation.sample_period + 0.05, end)
         self.span.min, self.span.max = 0.0, max(round(end, 2), 0.1)
+        self.span.step = step_for(end)
         start = self.span.step * round((end - seconds) / 2 / self.span.step)
         self.span.value = (round(start, 2), round(start + seconds, 2))
 
-    def _show_refits(self) -> None:
+    def _show_length(self) -> None:
+        """The headline: the recommended estimate from the whole flight, the genetic algorithm's beside it."""
+        whole = self.whole
+        if whole.reason is not None:
+            listed = whole.reason in [finding.sentence for finding in self.chooser.against]
+            why = "what is listed below speaks against it" if listed else whole.reason
+            self.length.value = problem(f"{self.flight.path.name}: no length: {why}")
+            return
+        low, high = whole.interval
+        beside = "no answer of the genetic algorithm: it needs commands" if self.flight.command is None else ""
+        if self.refits:
+            last = stated(self.refits[-1])
+            beside = (
+                f"the genetic algorithm, from one window with the commands, as set for Refit: {_with_interval(last)}"
+            )
+        assumed = folded("what was assumed, and what was left out", [*whole.assumed, *whole.notes])
+        self.length.value = box(
+            f"<span style='font-size:170%'>l = <b>{whole.length:.4f}</b> m</span>, 95 % interval "
+            f"{low:.4f} to {high:.4f} m<br>from the poses of both bodies over the whole flight "
+            f"{html.escape(self.flight.path.name)}; {self._truth_words()}"
+            f"<br>{html.escape(beside)}{assumed}"
+        )
+
+    def _show_refits(self, why: str | None = None) -> None:
+        """What the window says; ``why`` the genetic algorithm has no answer."""
         draw_refit(self.found.figure, self.flight, self.refits, self._truth())
         self.found.show()
-        if not self.refits:
-            why = replay.why_not_refit(self.flight) if self.flight.command is None else None
-            self.answer.value = _box(f"This flight cannot be refitted. {html.escape(why)}" if why else "No refit yet.")
+        found = self._window.found
+        words = f"from the poses alone: <b>{found.length:.4f}</b> m, 95 % interval {_interval(found)} m"
+        first = problem(f"From the poses alone, no length: {found.reason}") if found.reason else box(words)
+        if why is not None:
+            self.answer.value = first + problem(f"The genetic algorithm has no answer: {why}")
             return
         last = self.refits[-1]
         if reason := stated(last).reason:
-            self.answer.value = _problem(f"No length: {reason}")
+            self.answer.value = first + problem(f"The genetic algorithm has no answer: {reason}")
             return
         sigma = last.found.standard_deviation
         interval = f" ± {2 * sigma:.3f} m (2σ)" if math.isfinite(sigma) else " m (this reading gives no interval)"
-        self.answer.value = _box(
-            f"<span style='font-size:150%'>l = <b>{last.found.length:.4f}</b>{interval}</span><br>"
+        self.answer.value = first + box(
+            f"genetic algorithm: <span style='font-size:130%'>l = <b>{last.found.length:.4f}</b>{interval}</span><br>"
             f"{self._window_words(last.params)}; an exhaustive search finds {last.best:.4f} m; {self._truth_words()}; "
             f"refit {len(self.refits)} took {1000 * last.seconds:.0f} ms"
         )
 
     def _outdate(self, *_: object) -> None:
         """Settings changed: what is shown was found with others."""
-        if self.refits and STALE not in self.answer.value:
+        if self.flight is not None and self._window is not None and STALE not in self.answer.value:
             self.answer.value += STALE
-
-    def _name_topics(self, *_: object) -> None:
-        for role, body in (("vehicle", self.vehicle_name), ("pendulum", self.pendulum_name)):
-            self.topics[role].value = CONVENTIONS[self.convention.value].format(body.value.strip().strip("/"))
 
     # --- the widgets
 
-    def _make_widgets(self, export: Path, first: str) -> None:
-        names = sorted(path.parent.name for path in self.data.glob("*/metadata.yaml"))
-        options = [*((name, name) for name in names), ("by its path:", "")]
-        self.bag = widgets.Dropdown(options=options, value=first if first in names else "", **_say("bag"))
-        self.path = _text("", "path", "directory of a ROS 2 bag, or an .mcap file", "400px")
-        self.load = widgets.Button(description="Load", button_style="primary", layout=widgets.Layout(width="90px"))
-        self.convention = widgets.Dropdown(options=list(CONVENTIONS), **_say("convention"))
-        self.vehicle_name, self.pendulum_name = _text("quad", "vehicle is"), _text("pendulum", "rod is")
-        roles = "vehicle", "pendulum", "command"
-        self.topics = {role: _text(TOPICS[role], f"{role} topic", width="330px") for role in roles}
-        self.message, self.answer, self.compared, self.exported = (widgets.HTML() for _ in range(4))
-        for name in ("message", "answer", "compared", "exported"):  # for who styles the page, or reads it by program
-            getattr(self, name).add_class(f"fip-{name}")
+    def _make_widgets(self, export: Path) -> None:
+        self.length, self.answer, self.parts, self.compared, self.exported = (
+            said(name) for name in ("length", "answer", "parts", "compared", "exported")
+        )
         self.span = widgets.FloatRangeSlider(
             value=(0.0, 1.0), min=0.0, max=1.0, step=0.05, readout_format=".2f", continuous_update=False,
-            **_say("window (s)", "620px"),
+            **sized("window (s)", "620px"),
         )  # fmt: skip
-        narrow, wide = widgets.Layout(width="120px"), widgets.Layout(width="190px")
-        self.zoom = widgets.Checkbox(False, description="show the window alone", indent=False, layout=wide)
-        self.period = widgets.Dropdown(options=PERIODS, value=0.1, **_say("sampling (s)", "180px"))
-        self.reading = widgets.Dropdown(options=list(kalman.READINGS), **_say("reading", "230px"))
+        self.zoom = widgets.Checkbox(
+            False, description="show the window alone", indent=False, layout=widgets.Layout(width="190px")
+        )
+        self.period = widgets.Dropdown(options=PERIODS, value=0.1, **sized("sampling (s)", "180px"))
+        self.reading = widgets.Dropdown(options=list(kalman.READINGS), **sized("reading", "230px"))
         self.reading.value = "rk4_likelihood"
         self.process, self.measurement = (
             widgets.FloatLogSlider(
                 value=1.0, base=10, min=-3, max=3, step=0.1, readout_format=".3g", continuous_update=False,
-                **_say(f"{name} times", "330px"),
+                **sized(f"{name} times", "330px"),
             )
             for name in ("Qₑ", "Rₑ")
         )  # fmt: skip
-        self.seed = widgets.BoundedIntText(value=1, min=0, max=10**6, **_say("seed", "130px"))
-        self.press = widgets.Button(description="Refit", button_style="primary", layout=narrow)
-        self.rival = widgets.Button(description="Compare", button_style="primary", layout=narrow)
-        self.folder = _text(str(export), "folder", width="560px")
-        self.export = widgets.Button(description="Export", button_style="primary", layout=narrow)
+        self.seed = widgets.BoundedIntText(value=1, min=0, max=10**6, **sized("seed", "130px"))
+        self.press, self.rival, self.export = button("Refit"), button("Compare"), button("Export")
+        self.press_cutting = button("Cut", False, tooltip="write the window into a new bag")
+        self.follow = button("Length over time", width="160px")
+        self.folder = text(str(export), "folder", width="480px")
+        self.arrays = widgets.Dropdown(options=ARRAYS, **sized("arrays", "160px"))
+        self.progress, self.exporting = Progress(), Progress()
+        self.over_windows = widgets.Image(format="png", layout=widgets.Layout(width="520px", display="none"))
         self.over_time, self.in_space, self.found = Picture(5.0, 4.6), Picture(3.2, 4.6), Picture(8.3, 3.1)
 
     def _make_panels(self) -> None:
-        words = "Names in another lab: take its driver's convention and the bodies' names there, or edit the topics."
-        other = _row(self.convention, self.vehicle_name, self.pendulum_name)
-        names = Panel("topics", widgets.HTML(words), other, _row(*self.topics.values()))
-        remap = widgets.Accordion(children=[names], titles=("Topics",))
-        self.choose = Panel("choose a bag", _row(self.bag, self.path, self.load), remap, self.message)
-        views = _row(self.over_time.widget, self.in_space.widget)
-        self.look = Panel("scrub a window", _row(self.span, self.zoom), views)
-        settings = _row(self.period, self.reading, self.seed), _row(self.process, self.measurement, self.press)
+        *reading, findings, written = self.chooser.parts
+        self.choose = Panel("choose a bag", *reading, self.length, findings, written)
+        views = row(self.over_time.widget, self.in_space.widget)
+        self.look = Panel("scrub a window", row(self.span, self.zoom, self.press_cutting), views)
+        settings = row(self.period, self.reading, self.seed), row(self.process, self.measurement, self.press)
         self.fit = Panel("refit", self.span, *settings, self.answer, self.found.widget)
+        self.history = Panel("length over time", row(self.follow, self.progress), self.over_windows, self.parts)
         self.rivals = Panel("compare estimators", self.rival, self.compared)
-        self.save = Panel("export", _row(self.folder, self.export), self.exported)
+        saved = row(self.folder, self.arrays, self.export)
+        self.save = Panel("export", saved, self.exporting, self.exported)
 
     def _connect(self) -> None:
-        self.load.on_click(self.load_bag)
         self.press.on_click(self.press_refit)
+        self.press_cutting.on_click(self.press_cut)
+        self.follow.on_click(self.press_history)
         self.rival.on_click(self.press_compare)
         self.export.on_click(self.press_export)
         settings = self.span, self.period, self.reading, self.process, self.measurement, self.seed
-        for action, moved in (
-            (self._name_topics, (self.convention, self.vehicle_name, self.pendulum_name)),
-            (self.take_bag, (self.bag,)),
-            (self.take_own, (self.path, *self.topics.values())),
-            (self.draw, (self.span, self.zoom)),
-            (self._outdate, settings),
-        ):
+        for action, moved in ((self.draw, (self.span, self.zoom)), (self._outdate, settings)):
             for widget in moved:
                 widget.observe(action, "value")
 
 
-def _say(words: str, width: str = "220px") -> dict[str, Any]:
-    """A description that takes the room it needs, and the width of the whole."""
-    layout = widgets.Layout(width=width, max_width="100%")
-    return {"description": words, "style": {"description_width": "initial"}, "layout": layout}
+def step_for(seconds: float) -> float:
+    """Return the step of a slider over so many seconds, s."""
+    return next((step for step in STEPS if seconds <= 1000 * step), STEPS[-1])
 
 
-def _text(value: str, words: str, placeholder: str = "", width: str = "220px") -> widgets.Text:
-    return widgets.Text(value, placeholder=placeholder, continuous_update=False, **_say(words, width))
+def _interval(found: "PoseEstimate") -> str:
+    return f"{found.interval[0]:.4f} to {found.interval[1]:.4f}"
 
 
-def _row(*children: widgets.Widget) -> widgets.HBox:
-    return widgets.HBox(children, layout={"flex_flow": "row wrap", "align_items": "center", "grid_gap": "2px 14px"})
+def _length_cells(found: "PoseEstimate") -> tuple[str, str]:
+    return ("", "") if found.reason else (f"{found.length:.4f}", _interval(found))
 
 
-def _box(words: str, colour: str = BLUE) -> str:
-    style = f"border-left: 4px solid {colour}; padding: 2px 10px; line-height: 1.5; max-width: 860px"
-    return f"<div style='{style}'>{words}</div>"
-
-
-def _problem(what: object) -> str:
-    return _box(html.escape(str(what)).replace("\n", "<br>"), ORANGE)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(kind: str, words: Sequence[str]) -> str:
-        cell = f"<{kind} style='padding: 1px 12px; text-align: left; vertical-align: top'>{{}}</{kind}>"
-        return f"<tr>{''.join(cell.format(html.escape(word)) for word in words)}</tr>"
-
-    return f"<table style='line-height: 1.4'>{line('th', head)}{''.join(line('td', row) for row in rows)}</table>"
-
-
-def _number(value: float, form: str = ".6g") -> str:
-    return f"{value:{form}}" if math.isfinite(value) else ""
+def _with_interval(found: Any) -> str:
+    """An estimate of the genetic algorithm in words."""
+    if found.reason:
+        return f"no length: {found.reason}"
+    sigma = found.standard_deviation
+    return f"{found.length:.4f}{f' ± {2 * sigma:.3f}' if math.isfinite(sigma) else ''} m"

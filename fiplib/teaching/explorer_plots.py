@@ -32,6 +32,9 @@ TOOLBAR = 0.2
 SNAPSHOTS = 12
 """Rods drawn in the view in space, evenly over the window."""
 
+COLUMNS = 1000
+"""Columns of a picture in which a line is drawn by its first, least, greatest and last point: 4 000 points at most."""
+
 _LABELS = {signal.name: signal.label for signal in STATES}
 
 
@@ -76,11 +79,31 @@ class Picture:
     def show(self) -> None:
         """Bring the page up to date with the figure."""
         if isinstance(self.widget, widgets.Image):
-            buffer = BytesIO()
-            self.figure.savefig(buffer, dpi=DPI)
-            self.widget.value = buffer.getvalue()
+            self.widget.value = image_of(self.figure, DPI)
         else:
             self.figure.canvas.draw_idle()
+
+
+def image_of(figure: Figure, dpi: int = 2 * DPI) -> bytes:
+    """Return a figure as a PNG image."""
+    buffer = BytesIO()
+    figure.savefig(buffer, dpi=dpi)
+    return buffer.getvalue()
+
+
+def thinned(time: NDArray, values: NDArray, span: tuple[float, float]) -> tuple[NDArray, NDArray]:
+    """Return the times and values (m,) that draw a line (n,) between two times as all of its points would."""
+    first, last = np.searchsorted(time, span)
+    kept = slice(max(int(first) - 1, 0), int(last) + 1)
+    time, values = time[kept], values[kept]
+    if len(time) <= 4 * COLUMNS:
+        return time, values
+    column = ((time - time[0]) / (time[-1] - time[0]) * COLUMNS).astype(int).clip(max=COLUMNS - 1)
+    order = np.lexsort((values, column))
+    starts = np.flatnonzero(np.diff(column, prepend=-1))  # where a column begins, in time as in order
+    ends = np.append(starts[1:], len(time)) - 1
+    drawn = np.unique(np.concatenate([starts, ends, order[starts], order[ends]]))
+    return time[drawn], values[drawn]
 
 
 def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom: bool) -> None:
@@ -89,18 +112,20 @@ def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom:
     The flight comes with its states, recorded or derived; ``zoom`` shows the window alone.
     """
     figure.clear()
+    shown = span if zoom else (0.0, flight.duration)
     with mpl.rc_context(STYLE):
         panels = figure.subplots(4, 1, sharex=True)
         time = flight.time(flight.vehicle)
         for name, colour, position in zip("xyz", (BLUE, ORANGE, GREEN), flight.vehicle.position.T, strict=True):
-            panels[0].plot(time, position, color=colour, label=f"${name}$")
+            panels[0].plot(*thinned(time, position, shown), color=colour, label=f"${name}$")
         if flight.reference is not None:
             time = flight.time(flight.reference)
             for name, colour in zip("xy", (BLUE, ORANGE), strict=True):
-                panels[0].plot(time, flight.reference.column(name), "--", lw=0.7, color=colour, alpha=0.6)
+                line = thinned(time, flight.reference.column(name), shown)
+                panels[0].plot(*line, "--", lw=0.7, color=colour, alpha=0.6)
         panels[0].set_ylabel("vehicle (m)")
-        _states(panels[1], flight, ("a", "b"), 100.0, "rod's COM (cm)")
-        _states(panels[2], flight, ("phi", "theta"), math.degrees(1), "tilt (deg)")
+        _states(panels[1], flight, shown, ("a", "b"), 100.0, "rod's COM (cm)")
+        _states(panels[2], flight, shown, ("phi", "theta"), math.degrees(1), "tilt (deg)")
         panels[3].set_ylabel("rates (deg/s)")
         if flight.command is None:
             panels[3].set_yticks([])
@@ -109,14 +134,14 @@ def draw_flight(figure: Figure, flight: Flight, span: tuple[float, float], zoom:
             time = flight.time(flight.command)
             for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
                 rate = np.degrees(flight.command.column(name))
-                panels[3].plot(time, rate, color=colour, lw=0.5, alpha=0.8, label=label)
+                panels[3].plot(*thinned(time, rate, shown), color=colour, lw=0.5, alpha=0.8, label=label)
         for axes in panels:
             axes.axvspan(*span, color=GREY, alpha=0.15, lw=0)
             for event in flight.events[:50]:
                 axes.axvline(flight.time(event), color=PURPLE, lw=0.7, ls=":")
             if axes.get_legend_handles_labels()[0]:
                 axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.0, frameon=False)
-        panels[-1].set(xlabel="time (s)", xlim=span if zoom else (0.0, flight.duration))
+        panels[-1].set(xlabel="time (s)", xlim=shown)
         figure.align_ylabels(panels)
         _say(figure, flight)
 
@@ -128,8 +153,9 @@ def draw_space(figure: Figure, flight: Flight, span: tuple[float, float]) -> Non
         axes = figure.add_subplot(projection="3d")
         vehicle, pendulum = (_within(flight, body, span) for body in (flight.vehicle, flight.pendulum))
         if len(vehicle.stamp) and len(pendulum.stamp):
-            axes.plot(*vehicle.position.T, color=BLUE, label="vehicle")
-            axes.plot(*pendulum.position.T, color=ORANGE, label="rod's COM")
+            for body, colour, label in ((vehicle, BLUE, "vehicle"), (pendulum, ORANGE, "rod's COM")):
+                way = body.position[:: 1 + len(body.stamp) // (4 * COLUMNS)]
+                axes.plot(*way.T, color=colour, label=label)
             at = np.linspace(0, len(vehicle.stamp) - 1, SNAPSHOTS).round().astype(int)
             other = np.searchsorted(pendulum.stamp, vehicle.stamp[at]).clip(max=len(pendulum.stamp) - 1)
             seats = seat_position(vehicle.position[at], vehicle.orientation[at], flight.params.piloting.seat_height)
@@ -220,9 +246,12 @@ def _history(axes: Axes, refits: Sequence[WindowFit], before: int, truth: float 
     axes.xaxis.get_major_locator().set_params(integer=True)
 
 
-def _states(axes: Axes, flight: Flight, names: tuple[str, str], scale: float, label: str) -> None:
+def _states(
+    axes: Axes, flight: Flight, shown: tuple[float, float], names: tuple[str, str], scale: float, label: str
+) -> None:
     for name, colour in zip(names, (BLUE, ORANGE), strict=True):
-        axes.plot(flight.time(flight.state), scale * flight.state.column(name), color=colour, label=_LABELS[name])
+        line = thinned(flight.time(flight.state), scale * flight.state.column(name), shown)
+        axes.plot(*line, color=colour, label=_LABELS[name])
     axes.set_ylabel(label)
 
 

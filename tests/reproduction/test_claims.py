@@ -261,6 +261,17 @@ def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict
     assert claims.small_steps(None, []).verdict is Verdict.OPEN
 
 
+def test_small_steps_mend_nothing_where_no_outlier_falls_at_once():
+    rows = [
+        jump(0.2, "at once", "2 s", 2), jump(0.2, "in steps", "2 s", 2),
+        jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
+    ]  # fmt: skip
+    found = claims.small_steps(None, rows)
+    assert np.isnan(found.value) and found.verdict is Verdict.NOT
+    assert found.reading.startswith("No outlier of 2 s makes the rod fall at once")
+    assert found.facts["outliers"] == 0
+
+
 def estimating(lengths: list[tuple[float, float]], **more) -> Flight:
     reference = Circle(radius=0.4, period=8.0).at(moments(25))
     return flight(25, reference=reference, lengths=lengths, **more)
@@ -399,7 +410,8 @@ def test_a_fall_after_the_larger_jump_alone_agrees_with_the_papers_limit():
 def test_a_fall_after_a_smaller_jump_or_without_fluctuation_does_not():
     assert claims.survived_jump(0.8, jumping(0.7)).verdict is Verdict.NOT
     assert claims.fatal_jump(0.8, jumping(0.7)).verdict is Verdict.NOT
-    assert claims.fatal_jump(0.8, jumping(0.85, wild=0.3)).verdict is Verdict.NOT
+    calm = claims.fatal_jump(0.8, jumping(0.85, wild=0.3))
+    assert calm.verdict is Verdict.NOT and "not the fluctuation" in calm.reading
 
 
 def test_without_a_fall_there_is_no_fatal_jump():

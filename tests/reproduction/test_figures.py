@@ -110,6 +110,13 @@ def test_a_table_is_the_same_in_csv_and_latex(name, made):
     assert not any(mark in cell for row in (header, *rows) for cell in row for mark in "$\\{}")
 
 
+def test_a_long_name_of_a_column_is_set_in_two_lines_and_no_formula_is_broken():
+    assert tables.stacked("Bias (mm)", "r") == "Bias (mm)"
+    assert tables.stacked(r"In 95\,\% interval (\%)", "r") == r"\shortstack[r]{In 95\,\%\\interval (\%)}"
+    assert tables.stacked("$a + b + c + d + e + f + g$", "l") == "$a + b + c + d + e + f + g$"
+    assert tables.columns("@{}llrrll@{}") == list("llrrll")
+
+
 def test_markup_is_taken_out_of_cells():
     cells = {r"$-$0.5": "-0.5", r"5\,\%": "5 %", r"$Q$, $\dot x$": "Q, x_dot", r"$l_\mathrm{min}$": "l_min"}
     assert {cell: tables.plain(cell) for cell in cells} == cells

@@ -12,14 +12,17 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from scipy.spatial.transform import Rotation
 
 from fiplib import bags, ga, recording, replay
 from fiplib.bags.messages import typestore
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.grid import grid
 from fiplib.recording import TOPICS
-from fiplib.teaching.explorer import CONVENTIONS, Explorer, compare, fit_window
-from fiplib.teaching.explorer_plots import Picture
+from fiplib.teaching.explorer import Explorer, step_for
+from fiplib.teaching.explorer_fits import compare, fit_window
+from fiplib.teaching.explorer_plots import Picture, thinned
+from tests.bags import strangers
 
 DATA = Path(__file__).parents[2] / "data"
 POSES = {TOPICS["vehicle"]: TOPICS["vehicle"], TOPICS["pendulum"]: TOPICS["pendulum"]}
@@ -36,8 +39,13 @@ def renamed(source: Path, target: Path, names: dict[str, str]) -> Path:
 
 
 def number(page: Explorer) -> float:
-    """The length that the page shows, m."""
+    """The genetic algorithm's length that the page shows, m."""
     return float(re.search(r"l = <b>([\d.]+)", page.answer.value)[1])
+
+
+def shown(page: Explorer) -> float:
+    """The length of the headline, m."""
+    return float(re.search(r"l = <b>([\d.]+)", page.length.value)[1])
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +59,6 @@ def page(tmp_path: Path) -> Explorer:
 
 
 def test_a_moved_slider_and_the_button_change_the_number(page: Explorer) -> None:
-    page.press.click()
     first = number(page)
     assert first == page.refits[0].found.length
     page.span.value = (3.0, 7.0)
@@ -66,14 +73,12 @@ def test_a_moved_slider_and_the_button_change_the_number(page: Explorer) -> None
     [("period", 0.05), ("reading", "paper"), ("process", 10.0), ("measurement", 10.0)],
 )
 def test_every_setting_reaches_the_estimate(page: Explorer, setting: str, value: object) -> None:
-    page.press.click()
     getattr(page, setting).value = value
     page.press.click()
     assert page.refits[1].found.length != page.refits[0].found.length
 
 
 def test_a_reading_that_is_no_likelihood_shows_no_interval(page: Explorer) -> None:
-    page.press.click()
     assert "(2σ)" in page.answer.value
     page.reading.value = "paper"
     page.press.click()
@@ -91,64 +96,187 @@ def test_a_bad_bag_is_text_in_the_page_and_the_flight_before_stays(page: Explore
         (tmp_path / "nowhere", "no such file"),
         (tmp_path / "notes.txt", "not a bag"),
     ):
-        page.path.value = str(path)
-        page.load.click()
+        page.chooser.path.value = str(path)
+        page.chooser.load.click()
         assert words in page.message.value
         assert path.name in page.message.value
         assert "still shows estimate-1.4" in page.message.value
     page.press.click()
-    assert page.refits, "the flight before can still be refitted"
+    assert len(page.refits) == 2, "the flight before can still be refitted"
 
 
-def test_a_path_loads_its_bag_even_if_the_press_of_the_button_arrives_before_it(page: Explorer, tmp_path: Path) -> None:
-    page.load.click()
-    assert page.flight.path.name == "estimate-1.4"
-    page.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "elsewhere", POSES))
-    assert page.flight.path.name == "elsewhere" and page.bag.value == ""
-    page.load.click()
-    page.topics["vehicle"].value = "/other"
-    assert "no topic /other" in page.message.value
-    page.bag.value = "circle-0.8"
-    assert page.flight.path.name == "circle-0.8" and not page.path.value
+def test_a_path_loads_its_bag_once_whether_the_press_of_the_button_arrives_before_it_or_after(
+    page: Explorer, tmp_path: Path
+) -> None:
+    page.chooser.load.click()
+    first = page.flight
+    assert first.path.name == "estimate-1.4"
+    page.chooser.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "elsewhere", POSES))
+    assert page.flight.path.name == "elsewhere"
+    shown = page.flight
+    page.chooser.load.click()
+    assert page.flight is shown, "nothing has changed since"
 
 
-def test_bags_of_other_laboratories_are_read_by_convention_and_names(page: Explorer, tmp_path: Path) -> None:
-    for convention, pattern in list(CONVENTIONS.items())[1:]:
-        names = dict(zip(POSES, (pattern.format("drone_3"), pattern.format("stick")), strict=True))
-        page.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / convention, names))
-        page.convention.value, page.vehicle_name.value, page.pendulum_name.value = "fip", "quad", "pendulum"
-        page.load.click()
-        assert page.flight.path.name == convention and page.flight.notes, "guessed from the names, and said"
-        page.convention.value, page.vehicle_name.value, page.pendulum_name.value = convention, "drone_3", "stick"
-        page.load.click()
-        assert page.flight.path.name == convention and not page.flight.notes
-        np.testing.assert_array_equal(page.flight.vehicle.position, bags.read(DATA / "estimate-1.2").vehicle.position)
+def test_the_browser_lists_folders_and_bags_and_opens_what_is_chosen(page: Explorer) -> None:
+    names = [name for name, _ in page.chooser.browser.options]
+    assert names[0].startswith("↑") and "circle-0.8" in names and "sweeps/" in names
+    page.chooser.browser.value = DATA / "sweeps"
+    assert page.chooser.browser.options[0][1] == DATA
+    page.chooser.browser.value = DATA
+    page.chooser.browser.value = DATA / "circle-0.8"
+    assert page.flight.path.name == "circle-0.8" and page.chooser.path.value == str(DATA / "circle-0.8")
+    page.chooser.path.value = str(DATA.parent)
+    assert "without a bag" in page.message.value
+    assert ("data/", DATA) in page.chooser.browser.options
 
 
-def test_a_bag_without_commands_can_be_seen_and_says_why_it_cannot_be_refitted(page: Explorer, tmp_path: Path) -> None:
-    page.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "poses", POSES))
-    page.load.click()
+@pytest.mark.parametrize("pattern", ["/vrpn_mocap/{}/pose", "/natnet_ros/{}/pose", "/{}/pose"])
+def test_topics_of_other_laboratories_are_guessed_shown_in_menus_and_can_be_chosen(
+    pattern: str, page: Explorer, tmp_path: Path
+) -> None:
+    names = {TOPICS["vehicle"]: pattern.format("cinewhoop"), TOPICS["pendulum"]: pattern.format("rod")}
+    page.chooser.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "elsewhere", names))
+    menus, right = page.chooser.topics, page.length.value
+    assert [menus[role].value for role in ("vehicle", "pendulum", "command")] == [*names.values(), ""]
+    assert [value for _, value in menus["vehicle"].options] == ["", *names.values()]
+    assert "is taken for the pendulum, by its name" in page.message.value
+    np.testing.assert_array_equal(page.flight.vehicle.position, bags.read(DATA / "estimate-1.2").vehicle.position)
+    menus["vehicle"].value = names[TOPICS["pendulum"]]
+    assert "one body stands for both" in page.chooser.found.children[0].value
+    assert "listed below" in page.length.value
+    menus["vehicle"].value = names[TOPICS["vehicle"]]
+    assert page.length.value == right
+
+
+def test_bodies_in_one_topic_are_entries_of_the_menus(page: Explorer, tmp_path: Path) -> None:
+    flight = strangers.recorded()
+    page.chooser.open(strangers.write(tmp_path / "bodies", strangers.rigid_bodies(flight)))
+    menus = page.chooser.topics
+    assert [menus[role].value for role in ("vehicle", "pendulum")] == ["/rigid_bodies:quad", "/rigid_bodies:pendulum"]
+    low, high = page.whole.interval
+    assert low < 1.0 < high
+
+
+def test_what_speaks_against_a_bag_is_listed_and_its_cures_are_applied_and_taken_back(
+    page: Explorer, tmp_path: Path
+) -> None:
+    turned = strangers.recorded().both(
+        lambda body: body.seen_from(Rotation.from_euler("x", -90, degrees=True)).scaled(1000.0)
+    )
+    page.chooser.open(strangers.write(tmp_path / "y-up-mm", strangers.rows(turned)))
+    assert page.whole.reason is not None and "y-up-mm: no length" in page.length.value
+    up, unit, every = page.chooser.found.children
+    assert "--up y" in up.children[0].value and "--unit mm" in unit.children[0].value
+    up.children[1].click()
+    assert page.chooser.reading == {"up": "y"} and page.whole.reason is not None
+    every.click()
+    assert page.chooser.reading == {"up": "y", "unit": "mm"} and page.chooser.against == []
+    assert shown(page) == pytest.approx(1.0, abs=0.03), "its interval is 0.023 m wide"
+    (line,) = page.chooser.found.children
+    assert "up y; unit mm" in line.children[0].value
+    line.children[1].click()
+    assert page.chooser.reading == {} and len(page.chooser.against) == 2
+
+
+def test_a_damaged_bag_is_recovered_into_a_new_one_and_loaded(page: Explorer, tmp_path: Path) -> None:
+    half = shutil.copytree(DATA / "circle-0.8", tmp_path / "half")
+    file = next(half.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    page.chooser.path.value = str(half)
+    assert "damaged or incomplete" in page.message.value
+    page.chooser.recover.click()
+    assert page.flight.path == tmp_path / "explored" / "half-recovered"
+    assert "unchanged" in page.chooser.written.value and page.whole.reason is None
+    page.chooser.path.value = str(DATA / "estimate-1.2")
+    assert page.chooser.written.value == ""
+    page.chooser.recover.click()
+    assert "nothing: the recording is undamaged" in page.chooser.written.value
+
+
+def test_a_table_of_another_program_is_converted_and_loaded(page: Explorer, tmp_path: Path) -> None:
+    page.chooser.path.value = str(strangers.motive(tmp_path / "take.csv", strangers.recorded()))
+    assert "a CSV file" in page.message.value
+    page.chooser.convert.click()
+    assert page.flight.path.name == "take-converted"
+    low, high = page.whole.interval
+    assert low < 1.0 < high
+
+
+def test_the_window_is_cut_into_a_new_bag(page: Explorer, tmp_path: Path) -> None:
+    page.span.value = (5.0, 9.0)
+    page.press_cutting.click()
+    assert "estimate-1.4-cut" in page.chooser.written.value
+    assert bags.read(tmp_path / "explored" / "estimate-1.4-cut").duration == pytest.approx(4.0, abs=0.02)
+    page.press_cutting.click()
+    assert (tmp_path / "explored" / "estimate-1.4-cut-2").is_dir(), "nothing is overwritten"
+
+
+def test_the_headline_is_the_recommended_estimate_with_the_genetic_algorithm_beside_it(page: Explorer) -> None:
+    expected = replay.estimate(bags.read(DATA / "estimate-1.4"))
+    assert shown(page) == round(expected.length, 4)
+    low, high = expected.interval
+    assert f"95 % interval {low:.4f} to {high:.4f} m" in page.length.value
+    assert f"as set for Refit: {page.refits[-1].found.length:.4f} ±" in page.length.value
+    assert [row["estimator"] for row in page.rows] == ["poses", "poses", "ga"]
+    assert page.rows[0]["window_end_s"] == "25.00" and page.rows[0]["seed"] is None
+
+
+def test_the_length_over_time_is_drawn_and_listed(page: Explorer) -> None:
+    assert page.over_windows.layout.display == "none"
+    page.follow.click()
+    assert len(page.windows) == 9 and bytes(page.over_windows.value).startswith(b"\x89PNG")
+    for one in page.windows:
+        assert one.found.reason is None and f"{one.found.length:.4f}" in page.parts.value
+        assert one.found.length == pytest.approx(1.0, abs=4 * one.found.standard_deviation)
+    assert page.progress.layout.display == "none"
+
+
+def test_a_refused_estimate_is_a_sentence_and_no_number(page: Explorer, tmp_path: Path) -> None:
+    short = strangers.recorded().both(lambda body: body.part(slice(0, 72)))
+    page.chooser.open(strangers.write(tmp_path / "short", strangers.rows(short)))
+    assert "too little excitation" in page.length.value
+    assert "<b>" not in page.length.value
+
+
+def test_a_quarter_of_an_hour_is_drawn_by_few_points_and_shows_every_peak() -> None:
+    time = np.arange(216_000) / 240.0
+    values = np.random.default_rng(1).normal(size=len(time))
+    values[100_000], values[150_000] = 50.0, -50.0
+    at, drawn = thinned(time, values, (0.0, 900.0))
+    assert len(at) <= 4000 and np.all(np.diff(at) > 0)
+    assert (drawn.max(), drawn.min()) == (50.0, -50.0) and (at[0], at[-1]) == (time[0], time[-1])
+    at, drawn = thinned(time, values, (400.0, 410.0))
+    np.testing.assert_array_equal(drawn, values[96_000 - 1 : 98_400 + 1]), "few enough: all of them"
+
+
+@pytest.mark.parametrize(("seconds", "step"), [(25.0, 0.05), (150.0, 0.2), (900.0, 1.0), (7200.0, 5.0)])
+def test_the_slider_has_sensible_steps(seconds: float, step: float) -> None:
+    assert step_for(seconds) == step
+
+
+def test_a_bag_without_commands_gives_its_length_and_says_why_the_genetic_algorithm_does_not(
+    page: Explorer, tmp_path: Path
+) -> None:
+    page.chooser.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "poses", POSES))
     assert page.flight.command is None
-    assert page.press.disabled
-    assert page.rival.disabled
-    for text in (page.message.value, page.answer.value):
-        assert "holds no commands" in text
+    low, high = page.whole.interval
+    assert low < 1.0 < high and "it needs commands" in page.length.value
+    assert "holds no commands" in page.answer.value and "from the poses alone: <b>" in page.answer.value
     before = page.over_time.widget.value
     page.span.value = (0.0, 2.0)
     assert page.over_time.widget.value != before, "its pictures follow the slider all the same"
-    page.press_refit()  # by code, past the button
-    assert "holds no commands" in page.answer.value
+    page.rival.click()
+    assert "holds no commands" in page.compared.value
 
 
 def test_without_a_path_and_without_a_choice_the_page_asks_for_one(tmp_path: Path) -> None:
     page = Explorer(tmp_path, tmp_path / "explored")  # a folder without bags
-    assert "Choose a bag" in page.message.value
-    for button in (page.press, page.rival, page.export):
-        button.click()
+    assert "Give the path of a bag" in page.message.value
+    for press in (page.press, page.rival, page.export, page.follow, page.press_cutting, page.chooser.recover):
+        press.click()
     assert not page.rows
-    page.path.value = str(DATA / "estimate-1.2")
-    page.load.click()
-    page.press.click()
+    page.chooser.path.value = str(DATA / "estimate-1.2")
     assert number(page) == page.refits[0].found.length
 
 
@@ -160,7 +288,7 @@ def test_a_window_too_long_or_too_short_is_said_so(page: Explorer) -> None:
     page.span.value = (5.0, 5.1)
     page.press.click()
     assert "longer window" in page.answer.value
-    assert not page.refits
+    assert len(page.refits) == 1, "that of the window with which the page opened"
 
 
 def test_the_window_is_the_one_that_the_estimator_was_given_in_flight(flight: recording.Flight) -> None:
@@ -193,11 +321,10 @@ def test_the_fit_of_a_window_finds_what_the_estimator_finds_and_the_whole_landsc
 
 
 def test_all_estimators_are_compared_on_the_same_stretch(page: Explorer) -> None:
-    page.press.click()
     page.rival.click()
-    compared = page.rows[1:]
+    compared = page.rows[3:]
     assert [row["estimator"] for row in compared] == list(ESTIMATORS)
-    assert compared[0]["length_m"] == page.rows[0]["length_m"], "the same algorithm, window and seed"
+    assert compared[0]["length_m"] == page.rows[2]["length_m"], "the same algorithm, window and seed"
     for row in compared:
         assert row["estimator"] in page.compared.value
         # the rod is 1 m long; the widest scatter of them is about a third of that
@@ -211,17 +338,37 @@ def test_an_estimator_that_cannot_take_the_stretch_says_why(flight: recording.Fl
     assert math.isnan(rows["poses"].length) and "too few poses" in rows["poses"].reason
 
 
-def test_export_writes_the_pictures_and_the_numbers_shown_and_says_where(page: Explorer, tmp_path: Path) -> None:
-    page.press.click()
-    page.folder.value = str(tmp_path / "mine")
-    page.export.click()
-    assert str(tmp_path / "mine") in page.exported.value
+@pytest.mark.parametrize("arrays", [".npz", ".csv"])
+def test_export_writes_pictures_arrays_and_the_numbers_shown_and_says_where(
+    arrays: str, page: Explorer, tmp_path: Path
+) -> None:
+    page.follow.click()
+    page.folder.value, page.arrays.value = str(tmp_path / "mine"), arrays
+    for _ in range(2):  # the second time in place of the first
+        page.export.click()
+        assert str(tmp_path / "mine") in page.exported.value
     names = {path.name for path in (tmp_path / "mine").iterdir()}
-    assert names == {f"estimate-1.4-{what}" for what in ("flight.png", "space.png", "refit.png", "results.csv")}
-    with (tmp_path / "mine" / "estimate-1.4-results.csv").open(newline="") as stream:
-        (row,) = csv.DictReader(stream)
-    assert float(row["length_m"]) == number(page)
+    pictures = {f"{what}.{end}" for what in ("flight", "space", "refit", "length") for end in ("png", "pdf")}
+    tables = {f"{what}{arrays}" for what in ("poses", "states", "commands", "estimates")}
+    assert names == {f"estimate-1.4-{what}" for what in pictures | tables | {"results.csv"}}
+    assert set(page.written) == pictures | tables | {"results.csv"}
+    assert page.written["refit.pdf"].read_bytes().startswith(b"%PDF")
+    with page.written["results.csv"].open(newline="") as stream:
+        whole, _, row, *windows = csv.DictReader(stream)
+    assert float(whole["length_m"]) == pytest.approx(shown(page), abs=5e-5)
+    assert float(row["length_m"]) == pytest.approx(number(page), abs=5e-5)
+    assert len(windows) == len(page.windows)
     assert (row["origin"], row["bag"], row["samples"]) == ("simulated", "estimate-1.4", "55")
+
+
+def test_the_arrays_of_a_stranger_s_bag_hold_the_estimates_of_its_windows(page: Explorer, tmp_path: Path) -> None:
+    page.chooser.path.value = str(renamed(DATA / "estimate-1.2", tmp_path / "poses", POSES))
+    page.export.click()
+    assert "estimates.npz" not in page.written and "commands.npz" not in page.written
+    page.follow.click()
+    page.export.click()
+    lengths = np.load(page.written["estimates.npz"])["estimate [m]"]
+    np.testing.assert_array_equal(lengths, [one.found.length for one in page.windows])
 
 
 def test_a_folder_that_cannot_be_written_to_is_said_so(page: Explorer, tmp_path: Path) -> None:
