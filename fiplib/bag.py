@@ -1,6 +1,7 @@
 """``fip bag``: what a bag holds, how long its rod was; cut, export or recover it, convert recordings of other kinds."""
 
 import argparse
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,8 @@ def _length(options: argparse.Namespace) -> int:
         known = replace(planar.PRIOR, **report.stated(options))
         found = planar.planar(time, base, time, angle, known, options.arm_radius)
     else:
+        if math.isfinite(options.arm_radius):
+            raise BagError(f"{options.bag}: no CSV file of encoders; leave out --arm-radius")
         from fiplib.estimators.poses import history
         from fiplib.estimators.poses.knowledge import Knowledge
 

@@ -109,6 +109,8 @@ def test_encoders_are_refused_or_not_readable_as_a_bag_is(tmp_path, capsys):
     (damaged := tmp_path / "damaged.csv").write_text(",".join(planar.COLUMNS) + "\n1,2\n")
     with pytest.raises(FipError, match=r"damaged\.csv"):  # the command ends with status 2
         run(damaged)
+    with pytest.raises(BagError, match="leave out --arm-radius"):
+        run(BAG, "--arm-radius", "0.1")
     with pytest.raises(BagError, match="leave out --plot"):
         run(table(tmp_path / "cart.csv"), "--plot", tmp_path / "length.pdf")
     (poses := tmp_path / "poses.csv").write_text("t,x,y\n1,2,3\n")

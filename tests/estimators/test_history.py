@@ -56,7 +56,7 @@ def test_a_long_flight_is_the_mean_of_its_parts_and_only_as_exact_as_they_are(fl
 
 @pytest.mark.parametrize("longest", [600.0, 10.0])
 def test_a_rod_that_was_changed_in_flight_is_refused_however_long_it_flew(flight, monkeypatch, longest):
-    # from the middle on, the rod's tracked point and its length are those of a rod of 1.3 m: seen by its positions
+    # from the middle on the rod is 1.3 times as long
     monkeypatch.setattr(history, "LONGEST", longest)
     parts = list(history.windows(flight, Knowledge(), 6))
     changed = [
@@ -73,7 +73,7 @@ def test_a_push_in_a_long_flight_is_named_with_its_part_and_its_time(monkeypatch
     assert "at 5.3, 12.0 and 20.2 s" in fip.estimate(pushed).reason
     monkeypatch.setattr(history, "LONGEST", 10.0)
     reason = fip.estimate(pushed).reason
-    assert reason.startswith("from 4 to 8 s: ") and "at 5.3 s" in reason
+    assert reason.startswith("from 4.3 to 8.7 s: ") and "at 5.4 s" in reason
 
 
 def test_what_a_refusal_of_pushes_suggests_to_cut_is_answered(tmp_path):
@@ -98,5 +98,5 @@ def test_a_part_without_poses_says_nothing(flight):
 
 def test_what_is_no_flight_is_said():
     for wrong in (None, "my-flight", DATA):
-        with pytest.raises(ValueError, match="estimated from a Flight"):
+        with pytest.raises(ValueError, match="takes a Flight"):
             fip.estimate(wrong)

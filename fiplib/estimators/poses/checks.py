@@ -121,7 +121,7 @@ def _angle(axis: NDArray) -> NDArray:
 
 def check_motion(fit: Fit, rows: Rows) -> None:
     """Raise ``Refusal`` if there is no maximum, or if something moves as nothing in the model does."""
-    jump, _ = largest_jump(rows.time, fit.innovation)
+    jump = largest_jump(rows.time, fit.innovation)
     if not (fit.converged and np.all(np.isfinite(fit.covariance))):
         raise Refusal(_why_no_maximum(fit, rows, jump))
     if jump > LARGEST_JUMP:
@@ -239,14 +239,9 @@ def _correlation(innovation: NDArray, lags: int = 10) -> float:
     return max(map(abs, products)) / power
 
 
-def largest_jump(time: NDArray, innovation: NDArray) -> tuple[float, float]:
-    """Return the largest mean squared innovation over ``JUMP_SPAN``, and its time from the first row in s.
-
-    The first tenth of a second does not count.
-    """
-    means, _ = _means(time, innovation)
-    at = int(np.argmax(means))
-    return float(means[at]), float(time[at] - time[0])
+def largest_jump(time: NDArray, innovation: NDArray) -> float:
+    """Return the largest mean squared innovation over ``JUMP_SPAN``. The first tenth of a second does not count."""
+    return float(np.max(_means(time, innovation)[0]))
 
 
 def jumps(time: NDArray, innovation: NDArray, relative: bool = False) -> list[tuple[float, float]]:

@@ -136,7 +136,7 @@ def _of_parts(vehicle: Body, rod: Body, knowledge: Knowledge, seconds: float, po
     for part in _estimated(vehicle, rod, knowledge, seconds, count, advance):
         parts.append(part)
         if part.found.reason is not None:
-            reason = f"from {part.start:.0f} to {part.end:.0f} s: {part.found.reason}"
+            reason = f"from {part.start:.1f} to {part.end:.1f} s: {part.found.reason}"
             return History(replace(part.found, reason=reason), *NONE)
         if points and len(parts) > 1:
             mean = _mean(parts)

@@ -101,7 +101,7 @@ def _answered(base: Body, angle: Body, knowledge: Knowledge, arm_radius: float, 
     found |= {"whiteness": whiteness, "noise": fields["noise"]}
     found["assumed"] = assumptions(variant, told, ANY_OFFSET, knowledge, False, math.nan)
     correlation = max(whiteness.values())
-    jump, _ = checks.largest_jump(problem.rows.time, fit.innovation)
+    jump = checks.largest_jump(problem.rows.time, fit.innovation)
     if correlation > checks.LARGEST_CORRELATION or jump > checks.LARGEST_JUMP:
         extra = abs(problem.fit(told, ANY_OFFSET, force=True).theta[LE] - fit.theta[LE])
         found["notes"].append(

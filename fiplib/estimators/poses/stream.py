@@ -54,7 +54,7 @@ class Running:
     @property
     def jump(self) -> float:
         """The largest mean squared innovation of late, see ``checks.largest_jump``."""
-        return largest_jump(*self._recent)[0]
+        return largest_jump(*self._recent)
 
 
 class Stream:
