@@ -354,7 +354,7 @@ def fatal_jump(paper: float, flight: Flight) -> Finding:
     size, start, end, _ = min(fatal)
     time, rates = flight.time(flight.command), flight.command.values[:, :2]
     ratio = rms(rates[(time >= start) & (time < end)]) / rms(rates[time < all_jumps[0].start])
-    words = f"It falls {end - start:.1f} s after the change; until then the rate commands are {ratio:.1f} times those"
+    words = f"It falls {end - start:.1f} s after the change; until then the rate commands are {ratio:.3f} times those"
     words += " before any change (RMS)"
     words += "" if ratio > 1 + ABOUT else f": not the fluctuation that the paper saw, which we take for {1 + ABOUT:g}"
     words += ". Whether the jump does it or flying on with a wrong length is not told apart"

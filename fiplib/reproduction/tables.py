@@ -13,8 +13,9 @@ from fiplib.reproduction.sources import csv_text
 NONE = "--"
 """A cell without a value."""
 
-STACKED = 14
-"""Characters of a column's name above which LaTeX sets it in two lines: so wide tables keep a readable size."""
+STACKED = 15
+"""Characters of a column's name above which LaTeX sets it in two lines, if its cells are shorter: so wide tables keep a
+readable size."""
 
 Facts = dict[tuple[str, ...], str]
 """Numbers as the report prints them, by the words of their names."""
@@ -38,8 +39,12 @@ class Table(NamedTuple):
         return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace(r"\,", " ")
 
     def latex(self) -> str:
-        names = (stacked(name, side) for name, side in zip(self.header, columns(self.alignment), strict=True))
-        lines = [" & ".join(row) + r" \\" for row in (tuple(names), *self.rows)]
+        widths = [max(len(plain(cell)) for cell in cells) for cells in zip(*self.rows, strict=True)] or [0] * len(
+            self.header
+        )
+        sides = columns(self.alignment)
+        names = tuple(stacked(*column) for column in zip(self.header, sides, widths, strict=True))
+        lines = [" & ".join(row) + r" \\" for row in (names, *self.rows)]
         body = "\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"])
         return f"\\begin{{tabular}}{{{self.alignment}}}\n{body}\n\\end{{tabular}}\n"
 
@@ -49,10 +54,13 @@ def columns(alignment: str) -> list[str]:
     return re.findall("[lrc]", re.sub(r"@\{[^}]*\}", "", alignment))
 
 
-def stacked(name: str, side: str) -> str:
-    """A column's name for LaTeX: a long one in two lines, broken at the space nearest to its middle, in no formula."""
+def stacked(name: str, side: str, width: int = 0) -> str:
+    """A column's name for LaTeX: a long one in two lines, broken at the space nearest to its middle, in no formula.
+
+    ``side`` is its column's letter, ``width`` the characters of the column's longest cell.
+    """
     spaces = [at for at, letter in enumerate(name) if letter == " " and name[:at].count("$") % 2 == 0]
-    if len(plain(name)) <= STACKED or not spaces:
+    if len(plain(name)) <= max(STACKED, width) or not spaces:
         return name
     at = min(spaces, key=lambda at: abs(len(plain(name[:at])) - len(plain(name[at:]))))
     return rf"\shortstack[{side}]{{{name[:at]}\\{name[at + 1 :]}}}"

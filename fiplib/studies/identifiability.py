@@ -121,9 +121,9 @@ def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
     curve.axhline(0.0, color=GREY, lw=0.4)
     curve.set(ylabel="difference / e (m)", ylim=(-0.05, 0.72))
     curve.legend(loc="upper right")
-    for flight, label, colour in ((circle, "circle", BLUE), (hover, "hover, pushed", ORANGE)):
+    for flight, colour in ((circle, BLUE), (hover, ORANGE)):
         frequency, power = spectrum(flight)
-        motion.loglog(frequency[1:], 1e3 * np.sqrt(power[1:]), color=colour, label=label)
+        motion.loglog(frequency[1:], 1e3 * np.sqrt(power[1:]), color=colour, label=flight.path.name)
     noise = circle.params.simulation.attitude_noise * math.sqrt(2.0 / circle.params.piloting.mocap_rate)
     motion.axhline(1e3 * noise, color=GREY, lw=0.6)
     motion.set(ylabel="tilt (mrad/$\\sqrt{\\mathrm{Hz}}$)", ylim=(0.05, 100))

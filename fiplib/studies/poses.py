@@ -320,7 +320,7 @@ def fig16_coverage(rows: Rows) -> Figure:
     for value, style in ((95.0, "-"), (90.0, "--")):
         axes.axvline(value, color=GREY, lw=0.6, ls=style)
     axes.set(yticks=range(len(CONDITIONS)), yticklabels=list(CONDITIONS), ylim=(len(CONDITIONS) - 0.4, -0.6))
-    axes.set(xlabel="intervals that hold (%)", xlim=(75, 101))
+    axes.set(xlabel="in interval (%)", xlim=(75, 101))
     axes.tick_params(axis="y", labelsize=6)
     right.set(xlabel="refused (%)", xlim=(0, 100))
     origin(figure, "simulated flights, windows of 2.5 s, poses alone")

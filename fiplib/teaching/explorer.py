@@ -357,7 +357,7 @@ class Explorer:
         )
         self.span = widgets.FloatRangeSlider(
             value=(0.0, 1.0), min=0.0, max=1.0, step=0.05, readout_format=".2f", continuous_update=False,
-            **sized("window (s)", "620px"),
+            **sized("window (s)", "520px"),
         )  # fmt: skip
         self.zoom = widgets.Checkbox(
             False, description="show the window alone", indent=False, layout=widgets.Layout(width="190px")
@@ -374,7 +374,7 @@ class Explorer:
         )  # fmt: skip
         self.seed = widgets.BoundedIntText(value=1, min=0, max=10**6, **sized("seed", "130px"))
         self.press, self.rival, self.export = button("Refit"), button("Compare"), button("Export")
-        self.press_cutting = button("Cut", False, tooltip="write the window into a new bag")
+        self.press_cutting = button("Cut", False, "80px", tooltip="write the window into a new bag")
         self.follow = button("Length over time", width="160px")
         self.folder = text(str(export), "folder", width="480px")
         self.arrays = widgets.Dropdown(options=ARRAYS, **sized("arrays", "160px"))
