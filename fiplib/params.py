@@ -189,7 +189,7 @@ class Piloting:
     outlier_gate: float = quantity(4.0, "1", "our choice: trusted: deviations from the belief that make an outlier")
     default_deviation: float = quantity(0.1, "m", "our choice: trusted: if none is stated; above the GA's 0.08 m rms")
     shortest_survivable: float = quantity(
-        0.4, "1", "measured: trusted: least used / believed; 0.2 falls (the study survival)"
+        0.4, "1", "measured: trusted: least used / believed; 0.2 leaves 4 ms of delay margin (study survival)"
     )
     largest_rise: float = quantity(1.25, "1", "our choice: trusted: used length over the one before; 1.6 was survived")
     seat_height: float = quantity(

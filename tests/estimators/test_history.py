@@ -85,15 +85,23 @@ def test_what_a_refusal_of_pushes_suggests_to_cut_is_answered(tmp_path):
     assert found.reason is None and abs(found.length - 1.0) < 3.5 * found.standard_deviation
 
 
-def test_a_part_without_poses_says_nothing(flight):
-    def before(body: Poses) -> Poses:
-        keep = (flight.time(body) < 8.0) | (flight.time(body) > 24.0)
+def test_only_the_time_in_which_both_bodies_were_tracked_is_cut_into_parts(flight):
+    def part(body: Poses, before: float) -> Poses:
+        keep = (flight.time(body) < before) | (flight.time(body) > 24.0)
         return Poses(body.stamp[keep], body.received[keep], body.position[keep], body.orientation[keep])
 
-    lost = replace(flight, vehicle=before(flight.vehicle), pendulum=before(flight.pendulum))
-    windows = list(history.windows(lost, Knowledge(), 5))
-    assert [part.found.reason is None for part in windows] == [True, True, False, False, False]
+    lost = replace(flight, vehicle=part(flight.vehicle, 8.0), pendulum=part(flight.pendulum, 8.0))
+    windows = list(history.windows(lost, Knowledge()))
+    assert len(windows) == 3 and windows[0].start == 0.0 and windows[-1].end == pytest.approx(8.0, abs=0.01)
+    assert all(part.found.reason is None for part in windows)
     assert fip.estimate(lost).reason is None
+
+
+def test_a_first_stamp_of_zero_makes_no_flight_of_decades(flight):
+    stamp = flight.vehicle.stamp.copy()
+    stamp[0] = 0
+    found = fip.estimate(replace(flight, vehicle=replace(flight.vehicle, stamp=stamp)))
+    assert found.reason is None and abs(found.length - 1.0) < 3.5 * found.standard_deviation
 
 
 def test_what_is_no_flight_is_said():

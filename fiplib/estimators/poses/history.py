@@ -106,17 +106,17 @@ def length_of_flight(flight: Flight, knowledge: Knowledge, points: int = 0, adva
     if reason := why_no_length(flight):
         return History(PoseEstimate(reason=reason), *NONE)
     vehicle, rod, notes = bodies_of(flight)
-    seconds = flight.duration
-    if seconds > LONGEST:
-        found = _of_parts(vehicle, rod, knowledge, seconds, points, advance)
+    start, end = _span(vehicle, rod)
+    if end - start > LONGEST:
+        found = _of_parts(vehicle, rod, knowledge, points, advance)
     else:
         found = (
             history(vehicle, rod, knowledge, points) if points else History(estimate(vehicle, rod, knowledge), *NONE)
         )
         found = found._replace(time=found.time + min(vehicle.time[0], rod.time[0]))
         if found.answer.reason is None:
-            count = max(1, min(PARTS, int(seconds / SHORTEST)))
-            parts = list(_estimated(vehicle, rod, knowledge, seconds, count, advance))
+            count = max(1, min(PARTS, int((end - start) / SHORTEST)))
+            parts = list(_estimated(vehicle, rod, knowledge, count, advance))
             found = found._replace(answer=_consistent(found.answer, parts))
     return found._replace(answer=replace(found.answer, notes=(*notes, *found.answer.notes)))
 
@@ -124,16 +124,17 @@ def length_of_flight(flight: Flight, knowledge: Knowledge, points: int = 0, adva
 def _history(vehicle: Body, rod: Body, knowledge: Knowledge, points: int) -> History:
     """Return a history whose times are those of the bodies."""
     found = history(vehicle, rod, knowledge, points)
-    start = min([*vehicle.time[:1], *rod.time[:1]], default=0.0)
-    return found._replace(time=found.time + start)
+    return found._replace(time=found.time + _span(vehicle, rod)[0])
 
 
-def _of_parts(vehicle: Body, rod: Body, knowledge: Knowledge, seconds: float, points: int, advance: Advance) -> History:
-    """Estimate a flight of some ``seconds`` from its parts alone; see ``length_of_flight``."""
-    count, parts, curves = max(PARTS, math.ceil(2.0 * seconds / LONGEST)), list[Stretch](), []
+def _of_parts(vehicle: Body, rod: Body, knowledge: Knowledge, points: int, advance: Advance) -> History:
+    """Estimate a flight from its parts alone; see ``length_of_flight``."""
+    start, end = _span(vehicle, rod)
+    count, parts, curves = max(PARTS, math.ceil(2.0 * (end - start) / LONGEST)), list[Stretch](), []
     if points:
-        curves.append(np.array(_history(*_between(vehicle, rod, 0.0, seconds / count), knowledge, points)[1:]))
-    for part in _estimated(vehicle, rod, knowledge, seconds, count, advance):
+        first = _between(vehicle, rod, start, start + (end - start) / count)
+        curves.append(np.array(_history(*first, knowledge, points)[1:]))
+    for part in _estimated(vehicle, rod, knowledge, count, advance):
         parts.append(part)
         if part.found.reason is not None:
             reason = f"from {part.start:.1f} to {part.end:.1f} s: {part.found.reason}"
@@ -147,21 +148,15 @@ def _of_parts(vehicle: Body, rod: Body, knowledge: Knowledge, seconds: float, po
 def windows(
     flight: Flight, knowledge: Knowledge, most: int = MOST_WINDOWS, advance: Advance = _unseen
 ) -> Iterator[Stretch]:
-    """Estimate windows of equal length that follow each other: their answers are independent."""
-    count = max(1, min(most, int(flight.duration / SHORTEST)))
-    if reason := why_no_length(flight):
-        edges = pairwise((flight.duration * np.arange(count + 1) / count).tolist())
-        return iter([Stretch(*edge, PoseEstimate(reason=reason)) for edge in edges])
-    vehicle, rod, _ = bodies_of(flight)
-    return _estimated(vehicle, rod, knowledge, flight.duration, count, advance)
+    """Estimate windows of equal length that follow each other, where both bodies were tracked.
 
-
-def between(flight: Flight, start: float, end: float, knowledge: Knowledge) -> Stretch:
-    """Estimate what lies between two times in s since the start of the flight."""
+    Their answers are independent. A flight that is refused as a whole is one window.
+    """
     if reason := why_no_length(flight):
-        return Stretch(start, end, PoseEstimate(reason=reason))
+        return iter([Stretch(0.0, flight.duration, PoseEstimate(reason=reason))])
     vehicle, rod, _ = bodies_of(flight)
-    return Stretch(start, end, estimate(*_between(vehicle, rod, start, end), knowledge))
+    start, end = _span(vehicle, rod)
+    return _estimated(vehicle, rod, knowledge, max(1, min(most, int((end - start) / SHORTEST))), advance)
 
 
 def estimated(flight: Flight) -> bool:
@@ -224,14 +219,21 @@ def _mean(parts: list[Stretch]) -> PoseEstimate:
 
 
 def _estimated(
-    vehicle: Body, rod: Body, knowledge: Knowledge, seconds: float, count: int, advance: Advance = _unseen
+    vehicle: Body, rod: Body, knowledge: Knowledge, count: int, advance: Advance = _unseen
 ) -> Iterator[Stretch]:
-    """Estimate a flight of some ``seconds`` in parts of equal duration."""
-    edges = (seconds * np.arange(count + 1) / count).tolist()
+    """Estimate a flight in parts of equal duration."""
+    first, last = _span(vehicle, rod)
+    edges = np.linspace(first, last, count + 1).tolist()
     for index, (start, end) in enumerate(pairwise(edges)):
         advance(count - index)
         yield Stretch(start, end, estimate(*_between(vehicle, rod, start, end), knowledge))
     advance(0)
+
+
+def _span(vehicle: Body, rod: Body) -> tuple[float, float]:
+    """Return when the first and the last pose was taken, s: a flight may last longer than a body was tracked."""
+    time = np.concatenate([vehicle.time, rod.time])
+    return (float(time.min()), float(time.max())) if len(time) else (0.0, 0.0)
 
 
 def _between(vehicle: Body, rod: Body, start: float, end: float) -> tuple[Body, Body]:
