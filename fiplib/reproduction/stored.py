@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, NoReturn
 
 from fiplib.params import FipError
 
@@ -21,6 +22,17 @@ LARGEST = 1 << 28
 
 class JournalError(FipError):
     """A damaged table on disk."""
+
+
+class Row(dict):
+    """A row of a table, by column; a column that the table lacks is named with its file, not by a KeyError alone."""
+
+    def __init__(self, cells: Iterable[tuple[str, Any]], path: Path, again: str) -> None:
+        super().__init__(cells)
+        self._path, self._again = path, again
+
+    def __missing__(self, column: str) -> NoReturn:
+        raise JournalError(f"{self._path} lacks the column {column!r}: make it again with: {self._again}")
 
 
 def rows(path: Path, again: str) -> list[dict[str, str]]:
@@ -39,7 +51,7 @@ def rows(path: Path, again: str) -> list[dict[str, str]]:
         header, *lines = parsed(content(path))
     except ValueError as error:
         raise JournalError(f"{path} is damaged ({error}): restore it, or make it again with: {again}") from error
-    return [dict(zip(header, line, strict=True)) for line in lines]
+    return [Row(zip(header, line, strict=True), path, again) for line in lines]
 
 
 def content(path: Path) -> str:
@@ -105,7 +117,7 @@ def numbers(path: Path, again: str) -> list[dict[str, float | str]]:
             )
         else:
             found[column] = cells
-    return [{column: found[column][at] for column in found} for at in range(len(table))]
+    return [Row(((column, found[column][at]) for column in found), path, again) for at in range(len(table))]
 
 
 def _number(cell: str) -> float | None:

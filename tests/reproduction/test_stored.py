@@ -125,3 +125,15 @@ def test_a_figure_of_a_damaged_table_is_refused_and_the_others_are_made(tmp_path
     printed = capsys.readouterr()
     assert "table1-parameters.csv" in printed.out and printed.err.count("\n") == 1
     assert printed.err.startswith("fip: fig7-survival: ") and "make sweep STUDIES='survival --fresh'" in printed.err
+
+
+def test_a_column_that_is_missing_is_named_with_its_file_and_the_command(tmp_path):
+    table = tmp_path / "study.csv"
+    table.write_text("seed,value\n1,2.0\n")
+    for read in (stored.rows, stored.numbers):
+        [row] = read(table, "make sweep STUDIES=study")
+        assert row.get("other") is None
+        with pytest.raises(
+            stored.JournalError, match=r"study.csv lacks the column 'other': make it again with: make sw"
+        ):
+            row["other"]
