@@ -50,11 +50,12 @@ def test_nothing_speaks_against_a_flight_of_any_rod(length, noise, told, referen
     assert passed(without, []) == [name for name in EXPLANATIONS if name != "commands"]
 
 
-def test_tilt_and_acceleration_axis_and_arm_agree_to_a_hundredth(flight):
-    """The seat of these flights lies at the tracked point; the rod's reaction on the vehicle is 1 %."""
-    for found, off in ((thrust(flight.vehicle), 0.02), (leaning(flight.vehicle, flight.pendulum), 0.005)):
+def test_tilt_and_acceleration_axis_and_arm_agree(flight):
+    """The rod's reaction on the vehicle is 1 %. The line between the tracked points follows the vehicle's axis from the
+    lower one to the seat, 8 cm of the 58 cm, and only then the rod's."""
+    for found, off in ((thrust(flight.vehicle), 0.02), (leaning(flight.vehicle, flight.pendulum), 0.08 / 0.58)):
         np.testing.assert_allclose(found.matrix, np.eye(2), atol=off)
-        assert found.proven and found.deviation < 0.01
+        assert found.proven and found.deviation < 0.02
     assert leaning(flight.vehicle, flight.pendulum).late[0] == pytest.approx(0.0, abs=3e-4)
     late, ratio, correlation = followed(flight.vehicle, flight.command)
     assert 0.0 < late < 0.1 and correlation > 0.5 and 0.5 < ratio < 5.0
