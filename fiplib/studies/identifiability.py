@@ -19,6 +19,7 @@ from scipy.signal import csd, welch
 from fiplib.dynamics import z_axis
 from fiplib.params import GRAVITY, THETA, Params
 from fiplib.recording import Flight
+from fiplib.reproduction import measures
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 
 FREQUENCIES = np.geomspace(0.05, 20.0, 200)
@@ -107,6 +108,8 @@ def deviations(flight: Flight, seconds: float, below: NDArray) -> NDArray:
 
 def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
     """Fig. 15: the response that tells three lengths apart, the tilt that flights offer, and what follows."""
+    for flight in (hover, circle):
+        measures.need(flight, "truth_state")
     figure = Figure(figsize=(COLUMN, 4.6), layout="constrained")
     curve, motion, limits = figure.subplots(3, 1, sharex=True, height_ratios=(1.25, 1.0, 1.0))
     rho, effective, height = lengths_of(circle.params)

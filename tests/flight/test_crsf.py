@@ -199,9 +199,9 @@ def test_a_setpoint_that_is_not_finite_is_refused_unless_it_disarms(setpoint):
     [
         ({"radio__baud": 420000}, "radio.baud must be one of 115200, 400000, .* not 420000"),
         ({"radio__channels": "AETA"}, "radio.channels must order the letters A, E, T, R, not 'AETA'"),
-        ({"radio__arm_channel": 4}, "radio.arm_channel must be 5 to 16, not 4"),
+        ({"radio__arm_channel": 4}, "radio.arm_channel must be a whole number from 5 to 16"),
         ({"radio__throttle_low": 900.0}, "radio.throttle_low must lie between 1000 and 2000 us"),
-        ({"radio__thrust_curve": 1.5}, "thrust_curve at 1 or below"),
+        ({"radio__thrust_curve": 1.5}, "radio.thrust_curve must be a number from 0 to 1"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(change, message):

@@ -159,6 +159,14 @@ def windows(
     return _estimated(vehicle, rod, knowledge, max(1, min(most, int((end - start) / SHORTEST))), advance)
 
 
+def between(flight: Flight, start: float, end: float, knowledge: Knowledge) -> Stretch:
+    """Estimate what lies between two times in s since the start of the flight."""
+    if reason := why_no_length(flight):
+        return Stretch(start, end, PoseEstimate(reason=reason))
+    vehicle, rod, _ = bodies_of(flight)
+    return Stretch(start, end, estimate(*_between(vehicle, rod, start, end), knowledge))
+
+
 def estimated(flight: Flight) -> bool:
     """Return whether an estimator gave lengths in flight, and they were recorded."""
     return flight.length is not None and bool(np.isfinite(flight.length.column("estimate")).any())

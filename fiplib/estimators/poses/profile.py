@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from fiplib.estimators.poses.filter import LE, R, run
 from fiplib.estimators.poses.fit import Problem, maximise
@@ -28,6 +27,8 @@ class Profile:
     """
 
     def __init__(self, problem: Problem, lengths: tuple[float, float]) -> None:
+        from scipy.interpolate import CubicSpline  # with its optimisers it takes a second to import
+
         self._rows = problem.rows
         fit = problem.fit(problem.inertia, problem.offset)
         self._prior, self._theta = fit.prior, fit.theta
