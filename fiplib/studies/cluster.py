@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,24 @@ def dask_setup(worker: object) -> None:
 
 
 @contextlib.contextmanager
+def _postponed() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait for the end of a block: what is half made cannot be ended in good order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    waiting: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, frame: waiting.append(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if waiting:
+        signal.raise_signal(waiting[0])
+
+
+@contextlib.contextmanager
 def connect(scheduler: str | None = None, workers: int | None = None) -> Iterator["Client"]:
     """A client of the scheduler at an address, or of a local cluster of single-threaded processes, one to a core.
 
@@ -52,15 +71,17 @@ def connect(scheduler: str | None = None, workers: int | None = None) -> Iterato
         logging.getLogger(logger).setLevel(logging.CRITICAL)  # deaths and retries are its business, not the user's
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set(DASK))
-        address: Any = scheduler or stack.enter_context(
-            LocalCluster(
-                n_workers=workers or os.cpu_count(),
-                threads_per_worker=1,
-                host="127.0.0.1",
-                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                silence_logs=logging.CRITICAL,
-            )
-        )
+        address: Any = scheduler
+        if not scheduler:
+            with _postponed():
+                cluster = LocalCluster(
+                    n_workers=workers or os.cpu_count(),
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                    silence_logs=logging.CRITICAL,
+                )
+                address = stack.enter_context(cluster)
         try:
             client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False))
         except (OSError, ValueError, KeyError) as error:
