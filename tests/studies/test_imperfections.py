@@ -61,5 +61,6 @@ def test_a_row_of_the_study_is_repeatable_and_counts_every_window(brief):
     row = study.run(case)
     assert row == study.run(case)
     assert row["survived"] == 1
-    assert {row[f"n_{name}"] + row[f"refused_{name}"] for name in study.NAMES[1:]} == {2}
+    # of 11 s: from 7.5 s on. The last frame of that from 5 s on comes a frame before 7.5 s, which drops it
+    assert {row[f"n_{name}"] + row[f"refused_{name}"] for name in study.NAMES[1:]} == {1}
     assert row["n_ga"] == 1 and math.isfinite(row["rms_poses"])
