@@ -41,7 +41,7 @@ UNKNOWN = dict.fromkeys(("poses", "ga_poses"), (CALIBRATION, "inertia_factor"))
 """What is unknown beside state and length, by estimator."""
 
 DURATION = 22.0
-"""s: three windows of derived states and six of raw motion capture after ``SETTLED``."""
+"""s: three windows of derived states and five of raw motion capture after ``SETTLED``."""
 
 SETTLED = 5.0
 """s after which windows begin: the circle has come to speed."""
