@@ -62,6 +62,8 @@ def _read(options: argparse.Namespace) -> int:
         made = history.windows(flight, Knowledge.of_flight(flight))
         flight = replace(flight, length=history.series_of(flight, made))
     print(export(flight, options.file, options.what))
+    if options.what == "states" and (said := replay.assumed_seat(flight)):
+        print(said)
     return 0
 
 

@@ -84,6 +84,14 @@ def states(flight: Flight) -> Series:
     return Series.of("state", stamps, rows.reshape(-1, len(STATES)))
 
 
+def assumed_seat(flight: Flight) -> str | None:
+    """None if a flight says where its seat is, else one sentence: what derived states take it to be."""
+    if "params" in flight.metadata:
+        return None
+    height = 100 * flight.params.piloting.seat_height
+    return f"states were derived with the seat {height:g} cm above the tracked point: the recording does not say where"
+
+
 def reference(flight: Flight) -> Reference:
     """The reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
     entry = dict(flight.metadata.get("reference", {}))
@@ -140,7 +148,8 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
         length, deviation = answer.length, answer.standard_deviation
         stamps.append(stamp + round(NANO * params.simulation.estimation_latency))
         rows.append((policy.update(length, deviation), length, deviation))
-    return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)))
+    notes = (*flight.notes, *filter(None, [assumed_seat(flight)]))
+    return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)), notes=notes)
 
 
 def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":

@@ -168,3 +168,12 @@ def test_a_flight_kept_in_memory_is_the_one_in_its_bag():
         np.testing.assert_array_equal(one.stamp, other.stamp)
         np.testing.assert_array_equal(one.values, other.values)
         assert (one.names, one.units) == (other.names, other.units)
+
+
+def test_what_derived_states_take_for_granted_is_said(estimated):
+    stranger = dataclasses.replace(estimated, metadata={"origin": "unknown", "seed": 1}, state=None)
+    assert replay.assumed_seat(estimated) is None
+    assert replay.assumed_seat(stranger).startswith("states were derived with the seat 8 cm above the tracked point")
+    slow = estimated.params.replace(estimation__run_period=10.0)
+    assert replay.assumed_seat(stranger) in replay.refit(stranger, slow).notes
+    assert replay.refit(estimated, slow).notes == estimated.notes

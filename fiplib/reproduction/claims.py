@@ -212,7 +212,7 @@ def small_steps(paper: None, rows: Rows) -> Finding:
     flights = max(stepped.values())
     outliers, lasting = (
         [stepped[case] == flights for case, survived in at_once.items() if case[0] == kind and survived == 0]
-        for kind in ("2 s", "for good")
+        for kind in ("2 s", "to the end")
     )
     saved, delayed = (float(np.mean(some)) if some else math.nan for some in (outliers, lasting))
     words = "No outlier of 2 s makes the rod fall at once, so that steps have none to save"
@@ -242,7 +242,7 @@ def final_error(paper: float, flight: Flight) -> Finding:
 
 
 def convergence_time(paper: float, flight: Flight) -> Finding:
-    """G1-G3: when the used length came to within ``CONVERGED`` of its final value for good, s from the start.
+    """G1-G3: when the used length came to within ``CONVERGED`` of its final value to stay there, s from the start.
 
     Met if it first came that close at about the same time: what comes, drifts off and returns has not converged then.
     """
@@ -250,7 +250,7 @@ def convergence_time(paper: float, flight: Flight) -> Finding:
     moments, used = used_length(flight)
     first = float(moments[np.argmax(np.abs(used - final) <= CONVERGED)])
     full = (flight.params.estimation.window - 1) * flight.params.estimation.sample_period
-    words = f"Within {100 * CONVERGED:g} cm of its final value for good (the paper defines no convergence)"
+    words = f"Within {100 * CONVERGED:g} cm of its final value to stay there (the paper defines no convergence)"
     if full > paper:
         words += f". {paper:g} s cannot be reached under this reading: the first window takes {full:.1f} s to fill"
     elif about(time, paper) and not about(first, paper):

@@ -90,6 +90,7 @@ def fig3_pushes(flight: Flight) -> Figure:
     _plot_states(panels[1], flight, ("a", "b"), "pendulum", scale=100, unit="cm")
     _band(panels[1], 100 * claims.PAPER["D2"], "paper's largest")
     _plot_states(panels[2], flight, ("phi", "theta"), "tilt", scale=np.degrees(1), unit="deg")
+    panels[2].set_ylim(top=1.6 * panels[2].get_ylim()[1])  # the legend has a strip of its own
     _plot_rates(panels[3], flight)
     for start in measures.push_times(flight):
         for axes in panels:

@@ -155,7 +155,7 @@ class Convergence(NamedTuple):
 
 def convergence(flight: Flight) -> Convergence:
     """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
-    parameters, and when the used length came to within ``CONVERGED`` of that median for good."""
+    parameters, and when the used length came to within ``CONVERGED`` of that median to stay there."""
     time, used = used_length(flight)
     late = time > flight.duration - FINAL_SECONDS
     final = float(np.median(used[late] if late.any() else used[-1:]))

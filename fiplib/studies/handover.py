@@ -51,7 +51,7 @@ SECONDS = 12.0
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
 
 SETTLED = 0.05
-"""The used length counts as brought in when it is within this share of the true one for good."""
+"""The used length counts as brought in when it is within this share of the true one, and stays there."""
 
 
 def cases() -> list[dict]:

@@ -1,9 +1,9 @@
 """G6: how far may the used length jump at once, and what do small steps mend?
 
 On the 0.4 m circle, with the true length of 1 m in use, the pilot is given another length every 0.2 s, as a stream of
-estimates would do: to the end (``lasting`` "for good"), or for 2 s and then the true length again ("2 s", an
-estimator's outlier). It takes the length over at once, or by at most ``STEP`` a time (``params.piloting.length_step``).
-What steps can and cannot do: docs/studies.md. 144 rows, about 6 minutes of one core.
+estimates would do: to the end of the flight (``lasting`` "to the end"), or for 2 s and then the true length again
+("2 s", an estimator's outlier). It takes the length over at once, or by at most ``STEP`` a time
+(``params.piloting.length_step``). What steps can and cannot do: docs/studies.md. 144 rows, about 6 minutes of one core.
 """
 
 import itertools
@@ -30,7 +30,7 @@ STEP = 0.05
 """m per hand-over; with one each 0.2 s, 0.25 m/s."""
 
 CHANGES = {"at once": math.inf, "in steps": STEP}
-LASTING = {"for good": math.inf, "2 s": 2.0}
+LASTING = {"to the end": math.inf, "2 s": 2.0}
 
 START, SECONDS, PERIOD = 6.0, 15.0, 0.2
 """The jump comes at ``START`` s, a second after the circle's full speed; flown are ``SECONDS`` more; a length is told
@@ -41,7 +41,7 @@ CIRCLE = Circle(radius=0.4, period=8.0)
 
 
 def cases() -> list[dict]:
-    """Every length, taken over in both ways, for good and as an outlier."""
+    """Every length, taken over in both ways, to the end of the flight and as an outlier."""
     return [dict(zip(KEYS, values, strict=True)) for values in itertools.product(LENGTHS, RODS, CHANGES, LASTING)]
 
 

@@ -315,6 +315,11 @@ class Explorer:
             beside = (
                 f"the genetic algorithm, from one window with the commands, as set for Refit: {_with_interval(last)}"
             )
+            apart = abs(last.length - whole.length) / math.hypot(last.standard_deviation, whole.standard_deviation)
+            if last.reason is None and apart > 2.0:
+                beside += ". Do not use it: its interval contradicts the length above, and its model has no inertia"
+            if seat := replay.assumed_seat(self.flight):
+                beside += f"; {seat}"
         assumed = folded("what was assumed, and what was left out", [*whole.assumed, *whole.notes])
         self.length.value = box(
             f"<span style='font-size:170%'>l = <b>{whole.length:.4f}</b> m</span>, 95 % interval "

@@ -254,7 +254,7 @@ def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict
     rows = [
         jump(0.2, "at once", "2 s", 0), jump(0.2, "in steps", "2 s", saved),
         jump(1.4, "at once", "2 s", 2), jump(1.4, "in steps", "2 s", 2),
-        jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
+        jump(2.0, "at once", "to the end", 0), jump(2.0, "in steps", "to the end", 0),
     ]  # fmt: skip
     found = claims.small_steps(None, rows)
     assert found.value == (saved == 2) and found.verdict is verdict and found.facts["lasting"] == 0
@@ -264,7 +264,7 @@ def test_small_steps_are_judged_by_the_outliers_that_fall_at_once(saved, verdict
 def test_small_steps_mend_nothing_where_no_outlier_falls_at_once():
     rows = [
         jump(0.2, "at once", "2 s", 2), jump(0.2, "in steps", "2 s", 2),
-        jump(2.0, "at once", "for good", 0), jump(2.0, "in steps", "for good", 0),
+        jump(2.0, "at once", "to the end", 0), jump(2.0, "in steps", "to the end", 0),
     ]  # fmt: skip
     found = claims.small_steps(None, rows)
     assert np.isnan(found.value) and found.verdict is Verdict.NOT

@@ -218,8 +218,17 @@ def test_the_headline_is_the_recommended_estimate_with_the_genetic_algorithm_bes
     low, high = expected.interval
     assert f"95 % interval {low:.4f} to {high:.4f} m" in page.length.value
     assert f"as set for Refit: {page.refits[-1].found.length:.4f} ±" in page.length.value
+    assert "Do not use it" not in page.length.value
     assert [row["estimator"] for row in page.rows] == ["poses", "poses", "ga"]
     assert page.rows[0]["window_end_s"] == "25.00" and page.rows[0]["seed"] is None
+
+
+def test_an_interval_of_the_genetic_algorithm_that_contradicts_the_headline_is_said(page: Explorer) -> None:
+    page.span.value = (0.0, 12.0)  # with the take-off, which its model explains worst
+    page.press.click()
+    theirs, ours = page.refits[-1].found, page.whole
+    assert abs(theirs.length - ours.length) > 2.0 * math.hypot(theirs.standard_deviation, ours.standard_deviation)
+    assert "Do not use it: its interval contradicts the length above" in page.length.value
 
 
 def test_the_length_over_time_is_drawn_and_listed(page: Explorer) -> None:
