@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from fiplib import studies
-from fiplib.pilot import Hover
+from fiplib.references import Hover
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import cluster, sweep
 from fiplib.studies.journal import Journal

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from benchmarks.harness import Absent, Contender, Row, compare, main, needs, rate
 from fiplib.dynamics import PLANT, coupled_plant, projected, rk4
 from fiplib.params import GRAVITY, Params
-from fiplib.pilot import Circle
 from fiplib.recording import Flight
+from fiplib.references import Circle
 from fiplib.simulate import Plant, Scenario, fly
 
 TOPIC = "flights"

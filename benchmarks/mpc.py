@@ -26,7 +26,7 @@ from benchmarks.harness import Absent, Contender, Row, compare, main, needs
 from fiplib.dynamics import jacobians, prediction_model, rk4
 from fiplib.mpc import MPC, problem
 from fiplib.params import AXES, NANO, Control, Params, Vehicle
-from fiplib.pilot import Circle, Hover
+from fiplib.references import Circle, Hover
 from fiplib.simulate import SCENARIOS, Push, Scenario, fly
 
 TOPIC = "mpc"

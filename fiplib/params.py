@@ -198,6 +198,7 @@ class Piloting:
     seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
     pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
+    controller: str = quantity("mpc", "-", "paper, section 2.2; others: controllers.CONTROLLERS", before="mpc")
     observer: str = quantity("differentiate", "-", "paper, section 3; or 'kalman': a name in observers.OBSERVERS")
     measurement_deviations: tuple[float, float] = quantity(
         (0.2e-3, 1e-3), "m, rad", "our choice: kalman: standard deviations of measured positions and attitudes"
@@ -261,16 +262,24 @@ class Groups:
         return dataclasses.replace(self, **changed)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Return a plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``)."""
+        """Return a plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``).
+
+        A parameter that has the value that held before it existed is absent: a new one leaves older flights as they are.
+        """
 
         def plain(value: Any) -> Any:
             if isinstance(value, tuple):
                 return [plain(item) for item in value]
             return "inf" if value == math.inf else value
 
+        groups = {group.name: getattr(self, group.name) for group in dataclasses.fields(self)}
         return {
-            group: {key: plain(value) for key, value in values.items()}
-            for group, values in dataclasses.asdict(self).items()
+            name: {
+                known.name: plain(value)
+                for known in dataclasses.fields(group)
+                if (value := getattr(group, known.name)) != known.metadata["before"]
+            }
+            for name, group in groups.items()
         }
 
     @classmethod

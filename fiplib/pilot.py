@@ -8,12 +8,12 @@ that a replay sees exactly what the flight saw.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fiplib.controllers import controller_of
 from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimator
 from fiplib.estimators.handover import HANDOVERS
@@ -21,8 +21,9 @@ from fiplib.estimators.windows import SAMPLERS, RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import MPC, Solution, Status
 from fiplib.observers import Observer
-from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting, X, Y
+from fiplib.params import AXES, NANO, PHI, STATES, THETA, Params, Piloting
 from fiplib.recording import Measurement, nanoseconds, numbers_of
+from fiplib.references import Reference
 
 
 class Command(NamedTuple):
@@ -56,54 +57,6 @@ class Tick(NamedTuple):
     yaw: float
 
 
-class Reference(Protocol):
-    """A trajectory: ``height`` in m and ``at(times)`` in s since the first step -> states (n, 10)."""
-
-    height: float
-
-    def at(self, times: NDArray) -> NDArray: ...
-
-
-@dataclass(frozen=True)
-class Hover:
-    """Stay at one place (x, y) in m."""
-
-    x: float = 0.0
-    y: float = 0.0
-    height: float = 1.3
-
-    def at(self, times: NDArray) -> NDArray:
-        states = np.zeros((len(times), 10))
-        states[:, X], states[:, Y] = self.x, self.y
-        return states
-
-
-@dataclass(frozen=True)
-class Circle:
-    """A circle about the origin that starts at rest in (radius, 0) at time ``start`` and comes smoothly to speed.
-
-    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s.
-    """
-
-    radius: float
-    period: float
-    height: float = 1.3
-    start: float = 1.0
-    ramp: float = 4.0
-
-    def at(self, times: NDArray) -> NDArray:
-        from fiplib.kernels import piloting
-
-        states = np.empty((len(times), len(STATES)))
-        times = np.array(times, dtype=float)
-        piloting.circle(times, self.radius, self.period, self.start, self.ramp, states)
-        return states
-
-
-REFERENCES = {"Hover": Hover, "Circle": Circle}
-"""The kinds of reference that a bag may name."""
-
-
 class Pilot:
     """From poses to body rates and thrust. The time of the reference to follow starts with the first step.
 
@@ -125,7 +78,7 @@ class Pilot:
         policy = _known("piloting.handover", params.piloting.handover, HANDOVERS)
         self._handover = policy(params, self._sampler.seconds / params.estimation.run_period)
         self.length = self._handover.used
-        self._mpc = MPC(params)
+        self._mpc, self._controller = MPC(params), controller_of(params)
         self._gains = self._feedback()
         self._observer = Observer(params)
         self._loops, self._about = loops.answer, loops.pilot_constants(params, reference.height)
@@ -161,9 +114,9 @@ class Pilot:
         return Tick(now, elapsed, state, reference, *altitude)
 
     def solve(self, tick: Tick) -> Solution:
-        """The second part: the optimal plan."""
+        """The second part: the optimal plan, or what another ``piloting.controller`` answers."""
         _checked("tick", tick, Tick)
-        return self._mpc.solve(tick.state, tick.reference, self.length)
+        return self._controller.solve(tick.state, tick.reference, self.length)
 
     def hold(self, tick: Tick, place: NDArray) -> NDArray:
         """Instead of the second part, without a solver: body rates (2,) that keep rod and vehicle at a state (10,).

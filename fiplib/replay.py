@@ -19,8 +19,9 @@ from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSam
 from fiplib.kalman import Window
 from fiplib.observers import Observer
 from fiplib.params import NANO, STATES, Params
-from fiplib.pilot import REFERENCES, Pilot, Reference, estimator_of
+from fiplib.pilot import Pilot, estimator_of
 from fiplib.recording import TOPICS, BagError, Flight, Measurement, Series
+from fiplib.references import REFERENCES, Reference
 
 if TYPE_CHECKING:
     from fiplib.estimators.poses.estimate import PoseEstimate

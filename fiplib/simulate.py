@@ -22,8 +22,9 @@ from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
-from fiplib.pilot import Circle, Hover, Pilot, Reference, estimator_of
+from fiplib.pilot import Pilot, estimator_of
 from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
+from fiplib.references import Circle, Hover, Reference
 
 GROUND = 0.05
 """Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""

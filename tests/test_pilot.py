@@ -11,8 +11,9 @@ from fiplib.estimators.windows import LEAD
 from fiplib.mpc import Status
 from fiplib.observers import OBSERVERS, Observer
 from fiplib.params import A_DOT, GRAVITY, NANO, PHI, X_DOT, Y_DOT, A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover, Pilot, Tick
+from fiplib.pilot import Pilot, Tick
 from fiplib.recording import Measurement
+from fiplib.references import Circle, Hover
 
 PARAMS = Params()
 NO_SEAT = PARAMS.replace(piloting__seat_height=0.0)

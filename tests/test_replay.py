@@ -9,8 +9,8 @@ import pytest
 from fiplib import bags, replay
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.params import A_DOT, STATE_NAMES, X_DOT, A, X
-from fiplib.pilot import Hover
 from fiplib.recording import BagError, Flight
+from fiplib.references import Hover
 from fiplib.simulate import SCENARIOS, fly
 
 DATA = Path(__file__).parent.parent / "data"

@@ -17,8 +17,9 @@ from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.mpc import Status
 from fiplib.params import AXES, GRAVITY, PHI, THETA, A, B, Params, X, Y
-from fiplib.pilot import Circle, Command, Hover
+from fiplib.pilot import Command
 from fiplib.recording import EPOCH, Event, Flight, MemoryRecorder, Poses, Series
+from fiplib.references import Circle, Hover
 from fiplib.simulate import SCENARIOS, LengthUpdates, Mocap, Plant, Push, Scenario, SimulatedVehicle, fly
 from fiplib.studies.step_errors import one_step_errors, true_states
 

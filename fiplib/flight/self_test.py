@@ -9,8 +9,9 @@ import numpy as np
 
 from fiplib.flight.limits import Safety
 from fiplib.params import NANO, FipError, Params, X, Y
-from fiplib.pilot import Pilot, Reference
+from fiplib.pilot import Pilot
 from fiplib.recording import Measurement
+from fiplib.references import Reference
 
 SECONDS = 1.0
 """How long the self-test takes, s."""

@@ -31,8 +31,8 @@ from fiplib.estimators import brent, grid
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, B_DOT, A, B, Estimation, Params
-from fiplib.pilot import Circle
 from fiplib.recording import Flight
+from fiplib.references import Circle
 from fiplib.reproduction.measures import binomial_interval, bootstrap_interval, rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, origin

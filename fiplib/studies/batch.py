@@ -2,7 +2,8 @@
 
 A flight runs in compiled code (``kernels.flight``) from one event to the next: a length handed over, or the moment at
 which the estimator could first answer. Plant, pilot, noise and estimator are those of ``simulate.fly``, and a test
-holds the flights equal to the bit. Another vehicle than ``simulate.Plant`` cannot fly here.
+holds the flights equal to the bit. Another vehicle than ``simulate.Plant`` cannot fly here; another controller than the
+MPC flies, in ``simulate.fly`` itself.
 """
 
 import math
@@ -25,6 +26,7 @@ from fiplib.simulate import (
     SimulatedVehicle,
     event_of_fall,
     event_of_status,
+    fly,
 )
 
 
@@ -42,6 +44,8 @@ class _Times(NamedTuple):
 
 
 def _fly(scenario: Scenario) -> Flight:
+    if scenario.params.piloting.controller != "mpc":
+        return fly(scenario)
     params, piloting, rate = scenario.params, scenario.params.piloting, scenario.params.piloting.mocap_rate
     times = _times(scenario)
     stamps, now, at = times

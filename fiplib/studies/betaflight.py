@@ -30,8 +30,9 @@ from fiplib.flight.links.simulated import HeldVehicle, VirtualLink
 from fiplib.flight.loop import FlightLoop
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed, weight
 from fiplib.params import NANO, Groups, Params, assignment
-from fiplib.pilot import Hover, Pilot
+from fiplib.pilot import Pilot
 from fiplib.recording import Measurement, MemoryRecorder
+from fiplib.references import Hover
 from fiplib.reproduction.measures import rms
 from fiplib.simulate import Scenario, SimulatedEstimator
 from fiplib.studies.estimators import summarise

@@ -24,8 +24,8 @@ from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.cramer_rao import CALIBRATION, cramer_rao, motion
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import BagError, Flight
+from fiplib.references import Circle, Hover
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, ORANGE, origin

@@ -21,7 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fiplib.params import A, B, Params
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.reproduction import measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, origin

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.estimators import ESTIMATORS
 from fiplib.params import Params
-from fiplib.pilot import Circle
 from fiplib.recording import Flight
+from fiplib.references import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Plant, Scenario, fly

@@ -20,8 +20,8 @@ from fiplib import kalman, replay
 from fiplib.ga import CURVATURE_CODES, Chromosome
 from fiplib.kalman import Window
 from fiplib.params import A_DOT, B_DOT, NANO, Estimation, Params
-from fiplib.pilot import Circle, Hover, Reference
 from fiplib.recording import Flight
+from fiplib.references import Circle, Hover, Reference
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import Table, number

@@ -13,7 +13,7 @@ import numpy as np
 
 from fiplib.controllers import margins
 from fiplib.params import Params
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts
 from fiplib.simulate import Scenario

@@ -22,8 +22,8 @@ from fiplib.estimators.poses.estimate import estimate
 from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.poses.rows import Body
 from fiplib.params import NANO, A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import Flight
+from fiplib.references import Circle, Hover
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number

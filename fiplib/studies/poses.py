@@ -31,7 +31,7 @@ from fiplib.estimators.poses.estimate import NORMAL, PoseEstimate, estimate
 from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
 from fiplib.estimators.poses.rows import Body, upright_axis
 from fiplib.params import Params
-from fiplib.pilot import Circle, Hover, Reference
+from fiplib.references import Circle, Hover, Reference
 from fiplib.reproduction.measures import rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, PURPLE, origin

@@ -14,8 +14,8 @@ from scipy.stats import binomtest
 
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import Flight
+from fiplib.references import Circle, Hover
 from fiplib.reproduction.measures import rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin

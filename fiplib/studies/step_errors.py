@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fiplib.dynamics import prediction_model, rk4
 from fiplib.estimators.grid import best_length
 from fiplib.params import A, B, Params, X, Y
-from fiplib.pilot import Circle
 from fiplib.recording import Flight
+from fiplib.references import Circle
 from fiplib.reproduction.measures import rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts

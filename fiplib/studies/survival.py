@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import COLUMN, origin
 from fiplib.simulate import Scenario

@@ -25,7 +25,7 @@ import numpy as np
 from fiplib.controllers import margins
 from fiplib.mpc import MPC
 from fiplib.params import A_DOT, X_DOT, A, Params, X, Y
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.reproduction import claims, measures
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts, Table

@@ -14,8 +14,8 @@ from fiplib.bags.explanations import EXPLANATIONS
 from fiplib.bags.motion import arm, followed, leaning, thrust
 from fiplib.bags.tracking import lost, tracked
 from fiplib.params import Params
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import BagError, Flight
+from fiplib.references import Circle, Hover
 from fiplib.simulate import Push, Scenario, fly
 from tests.bags import strangers
 

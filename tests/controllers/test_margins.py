@@ -12,7 +12,7 @@ from fiplib.controllers import margins
 from fiplib.dynamics import PLANT
 from fiplib.mpc import MPC
 from fiplib.params import AXES, GRAVITY, Params
-from fiplib.pilot import Hover
+from fiplib.references import Hover
 from fiplib.simulate import Scenario, fly
 
 PARAMS = Params()

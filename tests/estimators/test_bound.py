@@ -10,8 +10,8 @@ from fiplib.dynamics import coupled_plant, rk4
 from fiplib.estimators import cramer_rao as bound
 from fiplib.estimators.cramer_rao import CALIBRATION, NUISANCES, Motion, cramer_rao, motion
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import BagError, Flight
+from fiplib.references import Circle, Hover
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import bounds
 

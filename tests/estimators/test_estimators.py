@@ -14,8 +14,8 @@ from fiplib.estimators import ESTIMATORS
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.genetic import IMPROVED
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover
 from fiplib.recording import Flight
+from fiplib.references import Circle, Hover
 from fiplib.simulate import Push, Scenario, fly
 from fiplib.studies import estimators as study
 from tests.test_kalman import simulated_window

@@ -15,8 +15,8 @@ from fiplib.estimators.poses.in_flight import InFlight, body_of, knowledge_in_fl
 from fiplib.estimators.poses.knowledge import Told
 from fiplib.estimators.windows import RawWindow
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle
 from fiplib.recording import Flight
+from fiplib.references import Circle
 from fiplib.simulate import Push, Scenario
 from fiplib.studies.batch import fly_many
 

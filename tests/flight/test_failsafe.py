@@ -18,8 +18,9 @@ from fiplib.flight.setpoint import Mode, Setpoint, TiltPredictor, disarmed
 from fiplib.flight.transitions import TRANSITIONS, Condition, Row, by_mode
 from fiplib.mpc import Status
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover, Pilot
+from fiplib.pilot import Pilot
 from fiplib.recording import EPOCH, Measurement
+from fiplib.references import Circle, Hover
 from fiplib.simulate import SCENARIOS, Scenario
 
 ROOT = Path(__file__).parents[2]

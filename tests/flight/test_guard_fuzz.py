@@ -17,8 +17,9 @@ from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode
 from fiplib.flight.transitions import by_mode
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover, Pilot
+from fiplib.pilot import Pilot
 from fiplib.recording import EPOCH, Measurement
+from fiplib.references import Circle, Hover
 
 BUDGET = float(os.environ.get("FIP_FUZZ_SECONDS", "4"))
 SEED = int(os.environ.get("FIP_FUZZ_SEED", "0"))

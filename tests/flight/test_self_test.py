@@ -10,8 +10,9 @@ from fiplib.flight.limits import Limits
 from fiplib.flight.self_test import DeadlineError, Punctuality, measured
 from fiplib.flight.session import Session
 from fiplib.params import NANO, Params
-from fiplib.pilot import Hover, Pilot
+from fiplib.pilot import Pilot
 from fiplib.recording import Measurement, MemoryRecorder
+from fiplib.references import Hover
 from fiplib.simulate import SCENARIOS
 
 SAFETY = Limits().safety

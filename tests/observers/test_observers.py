@@ -13,8 +13,9 @@ from fiplib.controllers import margins
 from fiplib.kernels import observing
 from fiplib.observers import OBSERVERS, Observer
 from fiplib.params import A_DOT, AXES, B_DOT, GRAVITY, NANO, STATE_NAMES, THETA, X_DOT, Y_DOT, A, B, Params, X, Y
-from fiplib.pilot import Hover, Pilot
+from fiplib.pilot import Pilot
 from fiplib.recording import Measurement
+from fiplib.references import Hover
 from fiplib.simulate import Push, Scenario, SimulatedVehicle, fly
 
 KALMAN = Params().replace(piloting__observer="kalman")

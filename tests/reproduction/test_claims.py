@@ -13,8 +13,8 @@ from fiplib.dynamics import prediction_model, rk4
 from fiplib.estimators.grid import best_length
 from fiplib.kalman import Window
 from fiplib.params import STATE_NAMES, STATES, A, B, Params, X, Y
-from fiplib.pilot import Circle
 from fiplib.recording import BagError, Event, Flight, Poses, Series
+from fiplib.references import Circle
 from fiplib.reproduction import claims, ledger, measures
 from fiplib.reproduction.claims import Verdict
 from fiplib.reproduction.sources import JournalError, quantities

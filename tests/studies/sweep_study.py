@@ -3,7 +3,7 @@
 import os
 
 from fiplib.params import Params
-from fiplib.pilot import Hover
+from fiplib.references import Hover
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import seconds_flown
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fiplib.params import Params
-from fiplib.pilot import Circle, Hover
+from fiplib.references import Circle, Hover
 from fiplib.simulate import SCENARIOS, Push, Scenario, fly
 from fiplib.studies import batch
 

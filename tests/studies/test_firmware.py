@@ -45,7 +45,7 @@ from fiplib.flight.crsf_frames import Encoder, count, pack
 from fiplib.flight.limits import Limits
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.params import GRAVITY, Params
-from fiplib.pilot import Hover
+from fiplib.references import Hover
 from fiplib.simulate import SCENARIOS
 from fiplib.studies import betaflight as study
 

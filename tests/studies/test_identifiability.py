@@ -6,7 +6,7 @@ import pytest
 
 from fiplib import dynamics
 from fiplib.params import GRAVITY, Params
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.simulate import Scenario, fly
 from fiplib.studies import identifiability
 

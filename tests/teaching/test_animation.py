@@ -13,7 +13,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fiplib.params import Vehicle
-from fiplib.pilot import Circle
+from fiplib.references import Circle
 from fiplib.simulate import Scenario, fly
 from fiplib.teaching.animation import animation, player, vehicle_lines
 

@@ -23,8 +23,9 @@ from fiplib.flight.sender import PATIENCE, DeadMan
 from fiplib.flight.setpoint import Mode, Setpoint, disarmed
 from fiplib.mpc import Solution
 from fiplib.params import NANO, Params
-from fiplib.pilot import Circle, Hover, Pilot, Tick
+from fiplib.pilot import Pilot, Tick
 from fiplib.recording import EPOCH, Measurement
+from fiplib.references import Circle, Hover
 from fiplib.simulate import Push, Scenario, SimulatedEstimator
 from fiplib.studies.faults import injection as inject
 from fiplib.studies.faults import judging
