@@ -261,10 +261,11 @@ class Groups:
                     raise ValueError(f"{name}.{key} must be above {name}.{low}, not {numbers}")
         return dataclasses.replace(self, **changed)
 
-    def to_dict(self) -> dict[str, dict[str, Any]]:
+    def to_dict(self, complete: bool = False) -> dict[str, dict[str, Any]]:
         """Return a plain nested dictionary, ready for JSON (an infinite number becomes the string ``"inf"``).
 
-        A parameter that has the value that held before it existed is absent: a new one leaves older flights as they are.
+        Unless ``complete``, a parameter that has the value that held before it existed is absent: a new one changes no
+        older flight.
         """
 
         def plain(value: Any) -> Any:
@@ -277,7 +278,7 @@ class Groups:
             name: {
                 known.name: plain(value)
                 for known in dataclasses.fields(group)
-                if (value := getattr(group, known.name)) != known.metadata["before"]
+                if (value := getattr(group, known.name)) != known.metadata["before"] or complete
             }
             for name, group in groups.items()
         }

@@ -54,7 +54,7 @@ def describe(flight: Flight, remarks: Remarks | None = None) -> str:
         rate = f"{(info.count - 1) / flight.duration:.1f}" if info.count > 1 and flight.duration > 0 else "-"
         lines.append(f"{info.topic:<{width}}  {info.type:<{kind}}  {info.count:>8}  {rate:>6}  {info.role}".rstrip())
     lines += ["", "parameters that differ from the default"]
-    params, default = flight.params.to_dict(), Params().to_dict()
+    params, default = flight.params.to_dict(complete=True), Params().to_dict(complete=True)
     changed = [
         f"  {group}.{name} = {value} {field.metadata['unit']} (default {default[group][name]})"
         for group, values in params.items()

@@ -135,7 +135,7 @@ def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:
     Param + group + field for each finite scalar parameter, with a few derived ones; Study + names of ``facts``."""
     values = {
         (group, name): value
-        for group, fields in params.to_dict().items()
+        for group, fields in params.to_dict(complete=True).items()
         for name, value in fields.items()
         if type(value) in (int, float)
     }

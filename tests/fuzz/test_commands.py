@@ -24,7 +24,7 @@ NUMBERS = [
     *("0", "1", "-1", "0.5", "1e-300", "1e300", "nan", "inf", "-inf", "1e9999", "0x10", "one", "", "1,2", "(1,)", "[]"),
     *("{}", "None", "True", "'", "(" * 300, "9" * 5000),
 ]
-NAMES = [f"{group}.{name}" for group, values in Params().to_dict().items() for name in values]
+NAMES = [f"{group}.{name}" for group, values in Params().to_dict(complete=True).items() for name in values]
 SETTINGS = [*NAMES, "safety.pose_flag", "radio.baud", "nonsense", "pendulum", "pendulum.", ".length", "a.b.c", ""]
 WORDS = [
     *("info", "length", "recover", "convert", "check", "cut", "export", *SCENARIOS, "fig2-vehicle", "claims"),
