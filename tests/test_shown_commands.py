@@ -67,6 +67,7 @@ PREPARED: dict[str, Callable[[Path], None]] = {"your-own-recording.md": prepare_
 """What a page's commands find in the folder, beside a link to ``data``."""
 
 ENDS = {
+    "fip bag length furuta.csv --arm-radius 0.062 --json": 3,  # here a cart's table, which no arm made: refused
     "fip bag length my-flight --up y --unit mm --quaternion wxyz": 3,  # the flight here has no such mistake: refused
 }
 """Exit status of the commands that do not end with 0 here, by command."""
