@@ -111,6 +111,15 @@ def test_commands_of_a_page_work_in_their_order(page, tmp_path, monkeypatch, cap
         assert printed.out or printed.err
 
 
+def test_the_python_of_your_own_vehicle_runs(capsys):
+    page = (ROOT / "docs/your-own-vehicle.md").read_text(encoding="utf-8")
+    code = "".join(block for language, block in FENCES.findall(page) if language == "python")
+    exec(compile(code, "your-own-vehicle.md", "exec"), {})
+    *rates, growth = re.findall(r"-?\d+\.\d+", capsys.readouterr().out)
+    # 10 cm beside its place: it rolls or pitches towards it; the loop of a 0.7 m rod is stable
+    assert len(rates) == 1 and float(rates[0]) != 0.0 and float(growth) < 0.0
+
+
 def test_every_reason_is_of_a_command_that_is_shown():
     commands = [command for page in PAGES for command in shown(page)]
     assert all(
