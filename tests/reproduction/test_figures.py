@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import io
+import re
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,9 +16,10 @@ from matplotlib.text import Text
 from fiplib import products
 from fiplib.params import FipError
 from fiplib.products import PRODUCTS
-from fiplib.reproduction import tables
+from fiplib.reproduction import bands, sources, tables
 from fiplib.reproduction.style import COLUMN, STYLE
 from fiplib.reproduction.tables import Table
+from fiplib.studies import ablation, imperfections, observers, poses, seat, spread, survival
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
@@ -44,6 +46,65 @@ def test_writing_twice_gives_the_same_bytes(name, made, tmp_path):
     assert len(first) == 2
     for one, other in zip(first, again, strict=True):
         assert hashlib.sha256(one.read_bytes()).digest() == hashlib.sha256(other.read_bytes()).digest(), one.name
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_a_caption_is_plain_text_that_says_what_is_simulated_and_how_many_flights(name):
+    found, product = products.caption(name), PRODUCTS[name]
+    label = name.partition("-")[0].replace("fig", "Fig. ").replace("table", "Table ")
+    assert product.load().__doc__.startswith(f"{label}: ")
+    assert found[0].isupper() and found.endswith(".") and "  " not in found and "\n" not in found
+    assert not set(found) & set("`$\\{}") and "*" not in found
+    if product.names and name != "table10-rates":  # it counts flights, and measures how long they take
+        assert "simulated" in found
+    if product.bags or product.studies:
+        assert re.search(r"\b(\d+|[Oo]ne|Two|two) (simulated |recorded |other )*(flights?|candidates)", found)
+    if name.startswith("fig"):
+        assert len(found) > 150, "one sentence is no caption: seeds, parameters, and what the reader should see"
+
+
+SEEDS = {
+    "fig5-estimation": spread.SEEDS,
+    "fig6-convergence": spread.SEEDS,
+    "fig7-survival": survival.SEEDS,
+    "fig10-intervals": spread.SEEDS,
+    "fig16-coverage": poses.SEEDS,
+    "fig17-seat": seat.SEEDS,
+    "fig18-observers": observers.SEEDS,
+    "fig19-ablation": ablation.SEEDS,
+    "table11-imperfections": imperfections.SEEDS,
+    "table13-coverage": poses.SEEDS,
+    "table14-seat": seat.SEEDS,
+    "table15-observers": observers.SEEDS,
+}
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_a_caption_counts_the_seeds_of_its_study(name):
+    assert re.search(rf"\b{len(SEEDS[name])} (simulated )?flights|flights that stay up of {len(SEEDS[name])},",
+                     products.caption(name))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "words"),
+    [
+        ("fig5-estimation", "used", "between 0.93 and 1.03 m"),
+        ("fig6-convergence", "used", "0.93 to 1.03 m"),
+        ("fig10-intervals", "pose_length", "0.995 to 1.006 m"),
+    ],
+)
+def test_a_caption_states_the_band_that_is_drawn(name, quantity, words):
+    assert words in products.caption(name)
+    stated = re.findall(r"\d\.\d+", words)
+    for scenario in spread.STARTS:
+        found = bands.band(bands.values(bands.flights(sources.read("spread", DATA), scenario), quantity))
+        edges = [float(edge[found.time > 12.0].mean()) for edge in (found.low, found.high)]
+        assert [f"{edge:.{len(number) - 2}f}" for edge, number in zip(edges, stated, strict=True)] == stated
+
+
+def test_the_caption_of_no_product_is_refused():
+    with pytest.raises(FipError, match="no figure 'fig99-moon'; there are fig1-flight"):
+        products.caption("fig99-moon")
 
 
 @pytest.mark.parametrize("name", DRAWN)
