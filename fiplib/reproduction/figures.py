@@ -143,7 +143,7 @@ def fig5_estimation(flight: Flight, spread: Rows = ()) -> Figure:
     the one in use, their median. Bands: 5 to 95 % of 20 simulated flights, of which the recorded one is one, with
     other noise only. Dashed: when the paper's length converged, at 12.43 s, and the length that it came to, 1.0 m.
     Nothing is known before the first window of 55 samples is full, at 5.5 s. The first answers are 6 to 16 cm short;
-    from 12 s on the length in use lies between 0.93 and 1.03 m, and x is tracked as it is with the true length.
+    from 12 s on the length in use lies between 0.93 and 1.04 m, and x is tracked as it is with the true length.
     """
     figure, panels = _panels(flight, 4, 4.3)
     known = bands.flights(spread, flight.path.name)
@@ -171,7 +171,7 @@ def fig6_convergence(*sources: Flight | Rows) -> Figure:
     same 20 seeds; the recorded one is among them. Crosses with dashed lines: time and length at which the paper's
     flights converged (its Table 3), in the colour of the same first length. With the first full window of 55 samples,
     at 5.5 s, the length in use comes within 16 cm of the true one, from 1.4 m less closely than from 0.8 m, as the rod
-    was flown less well; from 12 s on the three bands are one, 0.93 to 1.03 m: the first length no longer matters, the
+    was flown less well; from 12 s on the three bands are one, 0.93 to 1.04 m: the first length no longer matters, the
     noise does. The paper's 3.99 s from 1.2 m lies before our first window is full.
     """
     *flights, last = sources

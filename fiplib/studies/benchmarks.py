@@ -13,10 +13,10 @@ from fiplib.reproduction.tables import NONE, Table
 def fig13_deadlines(found: Quantities) -> Figure:
     """Fig. 13: how late control ticks are and how long their answers take, against the clock with a simulated vehicle.
 
-    One run of ten minutes, 71 982 ticks at 120 Hz, the genetic algorithm in a process beside the controller, 2 cores;
-    share of ticks above each time. Vertical line: the period of a tick, 8.33 ms. Dashed: how late a process is that
-    does nothing else. Nearly all answers need a tenth of a tick; the tail beyond a few ms is the machine's, as the
-    dashed line shows.
+    One run of ten minutes at 120 Hz, the genetic algorithm in a process beside the controller: share of all ticks above
+    each time. Vertical line: the period of a tick, 8.33 ms. Dashed: how late a process is that does nothing else. Of
+    a hundred answers 99 take a tenth of a tick or less; the tail beyond a few ms is the machine's, as the dashed line
+    shows.
     """
     figure = Figure(figsize=(COLUMN, 2.7), layout="constrained")
     axes = figure.subplots()

@@ -164,7 +164,7 @@ def table5_seeds(rows: Rows) -> Table:
 def table6_readings(default: Rows, readings: Rows) -> Table:
     """Table 6: the length that the estimator's flights come to under other variants of the paper, and its remedy.
 
-    Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 20 seeds of the default, 5 of
+    Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 20 flights of the default, 5 of
     each other variant; mean, standard deviation and RMS error of the length reached.
     """
     lines = []

