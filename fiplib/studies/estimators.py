@@ -14,11 +14,12 @@ derived states, or 2.5 s of raw motion capture. Per estimator ``NAME`` the row h
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiplib import replay
 from fiplib.estimators import ESTIMATORS
@@ -166,11 +167,11 @@ class Pooled(NamedTuple):
 
 def pooled(rows: Rows, name: str) -> Pooled:
     """An estimator's rows of the study 'estimators' or 'imperfections', each weighted by its number of windows."""
-    answered = [row for row in rows if row[f"n_{name}"] > 0]
-    if not answered:
+    given = answered(rows, name)
+    if not given:
         return Pooled(0, math.nan, math.nan, math.nan, math.nan)
     n, bias, rms, bound, covered = (
-        np.array([row.get(f"{column}_{name}", math.nan) for row in answered])
+        np.array([row.get(f"{column}_{name}", math.nan) for row in given])
         for column in ("n", "bias", "rms", "bound", "covered")
     )
     total = n.sum()
@@ -183,18 +184,66 @@ def circling(rows: Rows, uniform: bool) -> Rows:
     return [row for row in rows if row["excitation"] == "circle-0.4" and (row["gyration_ratio"] > 0) == uniform]
 
 
-def ratio(rows: Rows, name: str) -> tuple[float, float, float]:
-    """Return RMS error over RMS bound of an estimator, with its 95 % interval: a bootstrap over flights."""
-    answered = [row for row in rows if row[f"n_{name}"] > 0]
-    n, rms, bound = np.array([[row[f"{column}_{name}"] for column in ("n", "rms", "bound")] for row in answered]).T
-    errors, bounds = n * rms**2, n * bound**2
+Interval = tuple[float, float, float]
+"""A value with the ends of its 95 % interval."""
 
-    def over(chosen: NDArray) -> float:
-        chosen = chosen.astype(int)
-        return float(np.sqrt(errors[chosen].sum() / bounds[chosen].sum()))
 
-    flights = np.arange(len(answered))
-    return over(flights), *measures.bootstrap_interval(flights, over)
+def resampled(rows: Rows, statistic: Callable[..., NDArray], *columns: str) -> Interval:
+    """Return a statistic of columns of independent flights, with its 95 % interval: a bootstrap over flights."""
+    values = np.array([[row[column] for row in rows] for column in columns])
+
+    def of(chosen: NDArray) -> float:
+        return float(statistic(*values[:, chosen.astype(int)]))
+
+    flights = np.arange(len(rows))
+    return of(flights), *measures.bootstrap_interval(flights, of)
+
+
+def pooled_bias(n: NDArray, bias: NDArray) -> NDArray:
+    """Mean error over all windows, from means and numbers of windows by flight."""
+    return n @ bias / n.sum()
+
+
+def pooled_rms(n: NDArray, rms: NDArray) -> NDArray:
+    """Root mean square over all windows, from those and numbers of windows by flight."""
+    return np.sqrt(n @ rms**2 / n.sum())
+
+
+def interval(covered: ArrayLike, answered: ArrayLike, draws: int = 4000) -> tuple[float, float, float]:
+    """Return the share of answers whose interval holds the length, and its 95 % interval by a bootstrap over flights.
+
+    Where all of them do, which leaves a bootstrap nothing to draw, the interval is that of Wilson.
+
+    Args:
+        covered, answered: numbers of windows by flight.
+        draws: how many times the flights are drawn anew.
+    """
+    covered, answered = np.asarray(covered, dtype=float), np.asarray(answered, dtype=float)
+    n, share = max(answered.sum(), 1.0), covered.sum() / max(answered.sum(), 1.0)
+    if share in (0.0, 1.0):
+        z2 = Z95**2
+        edge = z2 / (n + z2)
+        return (share, 1.0 - edge, 1.0) if share else (share, 0.0, edge)
+    chosen = np.random.default_rng(0).integers(len(covered), size=(draws, len(covered)))
+    shares = covered[chosen].sum(axis=1) / np.maximum(answered[chosen].sum(axis=1), 1.0)
+    low, high = np.quantile(shares, (0.025, 0.975))
+    return float(share), float(low), float(high)
+
+
+def answered(rows: Rows, name: str) -> Rows:
+    """The flights in which an estimator answered."""
+    return [row for row in rows if row[f"n_{name}"] > 0]
+
+
+def covering(rows: Rows, name: str) -> Interval:
+    """Return the share of an estimator's intervals that hold the length."""
+    return interval([row[f"covered_{name}"] for row in rows], [row[f"n_{name}"] for row in rows])
+
+
+def ratio(rows: Rows, name: str) -> Interval:
+    """Return RMS error over RMS bound of an estimator."""
+    columns = (f"{column}_{name}" for column in ("n", "rms", "bound"))
+    return resampled(answered(rows, name), lambda n, rms, bound: pooled_rms(n, rms) / pooled_rms(n, bound), *columns)
 
 
 def fig9_estimators(rows: Rows) -> Figure:
@@ -277,29 +326,21 @@ def table4_estimators(rows: Rows) -> Table:
     chosen = circling(rows, uniform=True)
     lines = []
     for name, label in LABELS.items():
-        found, (over, *ends) = pooled(chosen, name), ratio(chosen, name)
+        found, some, n = pooled(chosen, name), answered(chosen, name), f"n_{name}"
+        bias = (1e3 * value for value in resampled(some, pooled_bias, n, f"bias_{name}"))
+        error = (1e3 * value for value in resampled(some, pooled_rms, n, f"rms_{name}"))
         covered = NONE
         if not math.isnan(found.covered):
-            low, high = _covered(chosen, name)
-            covered = f"{100 * found.covered:.1f} ({100 * low:.0f} to {100 * high:.0f})"
-        low, high = (1e3 * found.bound * end for end in ends)
-        lines.append((
-            label, f"{found.windows}", number(1e3 * found.bias, 2), f"{1e3 * found.rms:.2f} ({low:.2f} to {high:.2f})",
-            f"{over:.2f} ({ends[0]:.2f} to {ends[1]:.2f})", covered,
-        ))  # fmt: skip
+            covered = ranged(*(100 * value for value in covering(some, name)), 0)
+        ratio_ = f"{found.rms / found.bound:.2f}"
+        lines.append((label, f"{found.windows}", ranged(*bias, 1), ranged(*error, 1), ratio_, covered))
     header = ("Estimator", "Windows", "Bias (mm)", "RMSE (mm)", "RMSE / bound", r"In 95\,\% interval (\%)")
     return Table(header, lines, "lrrrrr")
 
 
-def _covered(rows: Rows, name: str) -> tuple[float, float]:
-    """The 95 % interval of the share of intervals that cover the truth: a bootstrap over flights."""
-    n, covered = np.array([(row[f"n_{name}"], row[f"covered_{name}"]) for row in rows]).T
-
-    def share(chosen: NDArray) -> float:
-        chosen = chosen.astype(int)
-        return float(covered[chosen].sum() / max(n[chosen].sum(), 1.0))
-
-    return measures.bootstrap_interval(np.arange(len(rows)), share)
+def ranged(value: float, low: float, high: float, decimals: int) -> str:
+    """A cell with a number and its interval in brackets."""
+    return f"{number(value, decimals)} ({number(low, decimals)} to {number(high, decimals)})"
 
 
 def facts(rows: Rows) -> Facts:

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.dynamics import PLANT
 from fiplib.estimators.cramer_rao import Motion, cramer_rao_of_poses, motion
-from fiplib.estimators.poses.estimate import NORMAL, PoseEstimate, estimate
+from fiplib.estimators.poses.estimate import PoseEstimate, estimate
 from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
 from fiplib.estimators.poses.rows import Body, upright_axis
 from fiplib.params import Params
@@ -38,7 +38,7 @@ from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Plant, Push, Scenario, fly
 from fiplib.studies.batch import fly_many
-from fiplib.studies.estimators import summarise
+from fiplib.studies.estimators import interval, pooled_rms, ranged, resampled, summarise
 from fiplib.studies.imperfections import Imperfection, ImperfectPlant
 
 KEYS = ("condition", "seed")
@@ -252,27 +252,6 @@ def bound_of(condition: Condition, true: Motion) -> float:
     return float(cramer_rao_of_poses(window, params, replace(condition.knowledge, distance_tolerance=1e-5))[-1])
 
 
-def interval(covered: ArrayLike, answered: ArrayLike, draws: int = 4000) -> tuple[float, float, float]:
-    """Return the share of answers whose interval holds the length, and its 95 % interval by a bootstrap over flights.
-
-    Where all of them do, which leaves a bootstrap nothing to draw, the interval is that of Wilson.
-
-    Args:
-        covered, answered: numbers of windows by flight.
-        draws: how many times the flights are drawn anew.
-    """
-    covered, answered = np.asarray(covered, dtype=float), np.asarray(answered, dtype=float)
-    n, share = max(answered.sum(), 1.0), covered.sum() / max(answered.sum(), 1.0)
-    if share in (0.0, 1.0):
-        z2 = NORMAL**2
-        edge = z2 / (n + z2)
-        return (share, 1.0 - edge, 1.0) if share else (share, 0.0, edge)
-    chosen = np.random.default_rng(0).integers(len(covered), size=(draws, len(covered)))
-    shares = covered[chosen].sum(axis=1) / np.maximum(answered[chosen].sum(axis=1), 1.0)
-    low, high = np.quantile(shares, (0.025, 0.975))
-    return float(share), float(low), float(high)
-
-
 class Pooled(NamedTuple):
     """A condition over its flights: windows answered, and the share refused; mean and root mean square error, mean
     stated deviation and bound in m; the share of intervals that hold the length, with its interval."""
@@ -353,7 +332,9 @@ def table13_coverage(rows: Rows) -> Table:
         if found.windows:
             share, low, high = (100 * value for value in found.covered)
             ratio = NONE if math.isnan(found.bound) else f"{found.rms / found.bound:.2f}"
-            errors = (number(1e3 * value, 1) for value in (found.bias, found.rms, found.sd))
+            given = [row for row in rows if row["condition"] == name and row["n"] > 0]
+            error = ranged(*(1e3 * value for value in resampled(given, pooled_rms, "n", "rms")), 1)
+            errors = number(1e3 * found.bias, 1), error, number(1e3 * found.sd, 1)
             cells = [*errors, f"{share:.0f} ({low:.0f} to {high:.0f})", ratio]
         label = name.replace("%", r"\%")
         lines.append((label, f"{found.windows}", f"{100 * found.refused:.0f}", *cells))

@@ -13,7 +13,7 @@ from fiplib.studies import spread
 DATA = Path(__file__).parents[2] / "data"
 
 
-@pytest.mark.parametrize(("scenario", "seed"), zip(spread.STARTS, (1, 2, 3), strict=True))
+@pytest.mark.parametrize(("scenario", "seed"), list(zip(spread.STARTS, (1, 2, 3), strict=True)))
 def test_the_recorded_flight_is_one_of_those_in_the_table(scenario, seed):
     [row] = [row for row in sources.read("spread", DATA) if (row["scenario"], row["seed"]) == (scenario, seed)]
     flight = bags.read(DATA / scenario)
