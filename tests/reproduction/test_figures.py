@@ -7,13 +7,14 @@ import re
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fiplib import products
+from fiplib import bags, products
 from fiplib.params import FipError
 from fiplib.products import PRODUCTS
 from fiplib.reproduction import bands, sources, tables
@@ -148,6 +149,24 @@ def test_a_figure_made_from_a_study_says_that_it_is_simulated(name, made):
 def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path):
     with pytest.raises(FipError, match="survival is missing: make sweep STUDIES='survival'"):
         products.make("fig7-survival", tmp_path)
+
+
+def test_other_flights_are_drawn_without_the_spread_behind_ours(made, tmp_path):
+    for bag in PRODUCTS["fig6-convergence"].bags:
+        (tmp_path / bag).symlink_to(DATA / bag)
+    alone = products.make("fig6-convergence", tmp_path)
+    assert len(alone.axes[0].collections) == 0
+    # a band for each of three first lengths, nine tenths of 20 flights
+    assert len(made["fig6-convergence"].axes[0].collections) == 3
+
+
+def test_the_running_rms_of_the_rates_is_that_of_30_commands(made):
+    flight = bags.read(DATA / "push-hover")
+    rates = np.degrees(flight.command.column("omega_x"))
+    drawn = made["fig3-pushes"].axes[3].lines[0]
+    assert drawn.get_label() == r"$\omega_x$" and len(drawn.get_ydata()) == len(rates) - 29
+    assert drawn.get_ydata()[100] == pytest.approx(np.sqrt(np.mean(rates[100:130] ** 2)), rel=1e-9)
+    assert drawn.get_xdata()[100] == flight.time(flight.command)[115]
 
 
 @pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])
