@@ -1,5 +1,6 @@
 """Make a product and write its files; the registry as the Makefile reads it."""
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +34,7 @@ def make(product: Product, data: Path, check: Callable[[str, Rows], object]) -> 
 
 def caption(product: Product) -> str:
     """The docstring of a product's function as one paragraph, without "Fig. 7: " or "Table 7: " at its beginning."""
-    _, _, words = (product.load().__doc__ or "").partition(": ")
-    text = " ".join(words.split())
+    text = re.sub(r"^(Fig\.|Table) \d+: ", "", " ".join((product.load().__doc__ or "").split()))
     return text[:1].upper() + text[1:]
 
 
