@@ -42,6 +42,7 @@ STUDIES = {
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
     "step_errors": "fiplib.studies.step_errors",
+    "spread": "fiplib.studies.spread",
 }
 """Address of each study by name, see ``load``."""
 
