@@ -17,6 +17,10 @@ CONTROLLERS = {
     "lqr": "fiplib.controllers.lqr:LQR",
     "lqr_ga": "fiplib.controllers.lqr_ga:GATunedLQR",
     "mpc": "fiplib.mpc:MPC",
+    "nonlinear_mpc": "fiplib.controllers.nmpc:NonlinearMPC",
+    "mpc_l1": "fiplib.controllers.l1:L1AugmentedMPC",
+    "offset_free_mpc": "fiplib.controllers.offset_free:OffsetFreeMPC",
+    "geometric": "fiplib.controllers.geometric:GeometricControl",
 }
 """The class of every controller by name, as ``module:class``."""
 
