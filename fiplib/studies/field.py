@@ -52,8 +52,8 @@ FIELD: dict[str, tuple[str, dict[str, Any]]] = {
 """Every controller by name: how figure and table call it, and its parameters."""
 
 TRUE_LENGTH = 1.0
-LENGTHS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6)
-SEEDS, FEW_SEEDS = 20, 5
+LENGTHS = tuple(tenths / 10 for tenths in range(6, 17))
+SEEDS, FEW_SEEDS = 20, 10
 PUSHED, HINDERED, SETTLED = 5.0, 2.0, 5.0
 """When the push and the hindered rotor come, and from when on a circle, wind and gusts are judged, s."""
 CALM = 0.02
@@ -148,6 +148,11 @@ def share(rows: Rows, controller: str, flight: str, length: float = TRUE_LENGTH,
     return sum(up), len(up), interval.low, interval.high
 
 
+def surviving(rows: Rows, controller: str, column: str = "survived") -> list[float]:
+    """Return the lengths in use with which most flights stay up: the interval lies above one half."""
+    return [length for length in LENGTHS if share(rows, controller, "pushed", length, column)[2] > 0.5]
+
+
 def mean(rows: Rows, controller: str, flight: str, column: str) -> tuple[float, float, float]:
     """Return the mean of a score over the flights that stay up, and its 95 % interval (bootstrap); nan of none."""
     values = np.array([row[column] for row in _rows(rows, controller, flight)], dtype=float)
@@ -173,10 +178,8 @@ SCORED = (
 def table18_field(rows: Rows, ticks: Quantities) -> Table:
     """Table 18: a column for each controller: who stays up, how well, and how long a tick takes."""
     lines = []
-    for length in LENGTHS:
-        for column, name in (("hovered", f"Up in hover, {length:g} m"), ("survived", f"Up after a push, {length:g} m")):
-            cells = (share(rows, controller, "pushed", length, column) for controller in FIELD)
-            lines.append((name, *(f"{up}/{count}" for up, count, _, _ in cells)))
+    for column, name in (("hovered", "Lengths up in hover (m)"), ("survived", "Lengths up after a push (m)")):
+        lines.append((name, *(_span(surviving(rows, controller, column)) for controller in FIELD)))
     for flight, name in (("circle", "circle"), ("rotor", "hindered rotor"), ("wind", "wind"), ("gusts", "gusts")):
         cells = (share(rows, controller, flight) for controller in FIELD)
         lines.append((f"Up, {name}", *(f"{up}/{count}" for up, count, _, _ in cells)))
@@ -191,6 +194,11 @@ def table18_field(rows: Rows, ticks: Quantities) -> Table:
     return Table(("", *(label for label, _ in FIELD.values())), lines, "l" + "r" * len(FIELD))
 
 
+def _span(lengths: list[float]) -> str:
+    """The first and the last of lengths as a cell."""
+    return f"{lengths[0]:.1f}--{lengths[-1]:.1f}" if lengths else NONE
+
+
 def _interval(value: float, low: float, high: float, decimals: int) -> str:
     """A mean and half its interval as a cell."""
     if not math.isfinite(value):
@@ -199,16 +207,12 @@ def _interval(value: float, low: float, high: float, decimals: int) -> str:
 
 
 def fig21_field(rows: Rows) -> Figure:
-    """Fig. 21: who stays up with a wrong length in use, in hover and pushed; and what the others cost."""
-    figure = Figure(figsize=(COLUMN, 4.6), layout="constrained")
+    """Fig. 21: which lengths in use survive a push; and the commands, circles and offsets in wind."""
+    figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
-    hover, pushed = above.subplots(1, 2, sharey=True)
-    for axes, column, title in ((hover, "hovered", f"up for {PUSHED:g} s"), (pushed, "survived", "and after a push")):
-        _shares(axes, rows, column)
-        axes.set_title(title)
-        axes.set_xlabel("length used (m)")
-    labels = [label for label, _ in FIELD.values()]
-    hover.set_yticks(range(len(FIELD)), labels)
+    axes, labels = above.subplots(), [label for label, _ in FIELD.values()]
+    _shares(axes, rows)
+    axes.set_yticks(range(len(FIELD)), labels)
     panels = below.subplots(1, 3, sharey=True)
     shown = (("pushed", "rate", 1.0, "rates (deg/s)"), ("circle", "error", 1e3, "circle (mm)"),
              ("wind", "error", 1e3, "wind (mm)"))  # fmt: skip
@@ -227,15 +231,17 @@ def fig21_field(rows: Rows) -> Figure:
     return figure
 
 
-def _shares(axes: Axes, rows: Rows, column: str) -> None:
-    """A field for each controller and length: the darker, the more flights stay up; the number of those that do not."""
-    found = [[share(rows, controller, "pushed", length, column) for length in LENGTHS] for controller in FIELD]
+def _shares(axes: Axes, rows: Rows) -> None:
+    """The percentage of flights that stay up after the push, by controller and length in use."""
+    found = [[share(rows, controller, "pushed", length) for length in LENGTHS] for controller in FIELD]
     part = np.array([[up / count for up, count, _, _ in line] for line in found])
-    axes.imshow(part, cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
-    for place, line in enumerate(found):
-        for index, (up, count, _, _) in enumerate(line):
-            axes.text(index, place, f"{100 * up / count:.0f}", ha="center", va="center", fontsize=6)
-    axes.set_xticks(range(len(LENGTHS)), [f"{length:g}" for length in LENGTHS])
+    axes.imshow(part, cmap="Blues", vmin=0.0, vmax=1.5, aspect="auto")
+    for (place, index), value in np.ndenumerate(part):
+        axes.text(index, place, f"{100 * value:.0f}", ha="center", va="center", fontsize=6)
+    axes.axvline(LENGTHS.index(TRUE_LENGTH) - 0.5, color="black", lw=0.6, ls="--")
+    axes.axvline(LENGTHS.index(TRUE_LENGTH) + 0.5, color="black", lw=0.6, ls="--")
+    axes.set_xticks(range(len(LENGTHS)), [f"{length:.1f}" for length in LENGTHS])
+    axes.set(xlabel="length used (m)", title="flights that stay up after a push (%)")
     axes.tick_params(length=0)
 
 
@@ -249,7 +255,6 @@ def facts(rows: Rows) -> Facts:
             found[*words, flight, column] = number(value, decimals)
             found[*words, flight, column, "low"] = number(low, decimals)
             found[*words, flight, column, "high"] = number(high, decimals)
-        up = [length for length in LENGTHS if share(rows, controller, "pushed", length)[2] > 0.5]
-        found[*words, "longest"] = f"{max(up):g}" if up else NONE
-        found[*words, "shortest"] = f"{min(up):g}" if up else NONE
+        up = surviving(rows, controller)
+        found[*words, "shortest"], found[*words, "longest"] = (f"{up[0]:g}", f"{up[-1]:g}") if up else (NONE, NONE)
     return found
