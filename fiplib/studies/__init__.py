@@ -42,6 +42,8 @@ STUDIES = {
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
     "step_errors": "fiplib.studies.step_errors",
+    "spread": "fiplib.studies.spread",
+    "field": "fiplib.studies.field",
     "excitation": "fiplib.studies.excitation",
 }
 """Address of each study by name, see ``load``."""
@@ -49,7 +51,7 @@ STUDIES = {
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors", "excitation"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "excitation"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
