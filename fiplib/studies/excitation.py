@@ -6,7 +6,7 @@ paper's ``ga`` from 0.8 m on. Beside what becomes of the flight a row has, at ``
 estimate states and how wrong it is, and the Cramer-Rao bound of all poses so far.
 
 ``design`` looks for the multisine whose bound falls to ``WANTED`` soonest while |a| and |b| stay below ``LEAN``; it
-made ``DESIGNED``. What was found: docs/studies.md. 260 rows, about 4 minutes of one core; the design takes
+made ``DESIGNED``. What was found: docs/studies.md. 280 rows, about 4 minutes of one core; the design takes
 three: ``python -m fiplib.studies.excitation``.
 """
 
@@ -51,8 +51,9 @@ WANTED = 0.005
 DEVIATIONS = {"20": 0.02, "10": 0.01, "5": 0.005}
 """Standard deviations whose times are compared, m, by their mm."""
 
+FOUND = Multisine(0.1185, (0.4083, -0.1672, -0.0906, 0.0986), (0.8639, -0.3538, -0.1915, 0.2086), ramp=0.946)
 DESIGNED = Multisine(0.1185, (0.3476, -0.1424, -0.0771, 0.084), (0.6987, -0.2861, -0.1549, 0.1687), ramp=0.946)
-"""What ``design()`` returns."""
+"""What ``design()`` finds, and what it returns: the same smaller, as far as no noise takes the rod beyond ``LEAN``."""
 
 ESTIMATED: dict[str, dict] = {
     "poses": {"estimation__estimator": "poses", "piloting__handover": "trusted"},
@@ -74,13 +75,15 @@ EXCITATIONS = {
     "circle 0.8 m / 9 s": Excitation(Circle(0.8, 9.0, start=0.0, ramp=2.0), {}),
     "circle 0.8 m / 9 s, slow start": Excitation(Circle(0.8, 9.0), {}),
     "designed": Excitation(DESIGNED, {}),
+    "designed, lean of the circle": Excitation(FOUND, {}),
     "designed, until known": Excitation(replace(DESIGNED, wanted=WANTED), {}),
     "hover, calm": Excitation(Hover(), _CALM),
     "circle 0.8 m / 9 s, calm": Excitation(Circle(0.8, 9.0, start=0.0, ramp=2.0), _CALM),
     "designed, calm": Excitation(DESIGNED, _CALM),
 }
-"""Circles come to speed within 2 s; the slow start is that of our bags, 4 s after a second of hover. "calm" is the
-Kalman observer, whose commands are a quarter as large."""
+"""Circles come to speed within 2 s; the slow start is that of our bags, 4 s after a second of hover. With other noise
+the circle of 0.8 m leans further than ``LEAN``, and ``FOUND`` as far as that. "calm" is the Kalman observer, whose
+commands are a quarter as large."""
 
 TO_THE_END = ("hover", "circle 0.4 m / 8 s", "circle 0.8 m / 9 s", "designed")
 """What the genetic algorithm flies, too."""
@@ -278,7 +281,7 @@ def fig22_excitation(rows: Rows) -> Figure:
         xlabel="x from the start (m)", ylabel="y from the start (m)", aspect="equal", adjustable="datalim"
     )
     panels["lean"].set(xlabel="time (s)", ylabel="|a|, |b| (cm)", ylim=(0.0, None), xlim=(0.0, 3.0))
-    known.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="std. deviation (mm)", xlim=(0.4, SECONDS))
+    known.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="std. deviation (mm)", xlim=(0.4, 1.04 * SECONDS))
     for axis, ticks in ((known.xaxis, (0.5, 1, 2, 5, 10)), (known.yaxis, (3, 5, 10, 20, 50))):
         axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     known.minorticks_off()
@@ -341,6 +344,7 @@ def facts(rows: Rows) -> Facts:
         "large": "circle 0.8 m / 9 s",
         "slow": "circle 0.8 m / 9 s, slow start",
         "designed": "designed",
+        "far": "designed, lean of the circle",
         "ended": "designed, until known",
         "calm": "hover, calm",
         "calmlarge": "circle 0.8 m / 9 s, calm",
@@ -351,8 +355,9 @@ def facts(rows: Rows) -> Facts:
     for (name, excitation), (wanted, word) in itertools.product(names.items(), words.items()):
         found[name, word] = f"{Mean.of(times_to(rows, excitation, wanted)).value:.2f}"
         found[name, word, "reached"] = f"{reached(rows, excitation, wanted)}"
-    for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow"), words.items()):
-        gained = gain(rows, "designed", names[against], wanted)
+    for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow", "far"), words.items()):
+        pair = ("designed", names[against]) if against != "far" else (names["far"], names["large"])
+        gained = gain(rows, *pair, wanted)
         for part, value in zip(("gain", "low", "high"), gained, strict=True):
             found[against, word, part] = f"{value:.2f}"
     for name, excitation in names.items():
@@ -368,7 +373,7 @@ SEARCHED = ((0.1, 0.4), (0.2, 1.2), (-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0), (-1.0
 
 DESIGN_SECONDS, LATER_SECONDS, DESIGN_SEED = 2.0, 8.0, 90_001
 SCALINGS = 3
-"""How often a trajectory is flown until its lean is as wanted, to within 1 %: lean grows with the amplitude, but noise
+"""How often a trajectory is flown until its lean is as wanted, to within 5 %: lean grows with the amplitude, but noise
 is part of it."""
 
 MARGIN = 1.5e-3
