@@ -42,6 +42,7 @@ STUDIES = {
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
     "step_errors": "fiplib.studies.step_errors",
+    "flying_pendulum": "fiplib.studies.flying_pendulum",
     "field": "fiplib.studies.field",
 }
 """Address of each study by name, see ``load``."""
@@ -49,7 +50,7 @@ STUDIES = {
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors", "field"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
