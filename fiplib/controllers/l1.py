@@ -6,18 +6,19 @@ Per axis (``params.AXES``) a state predictor runs beside the MPC on z = (s', d',
     d''   = 2 g d / l - g (tilt + sigma_a) + g sigma_b
     tilt' = u + sigma_r
 
-sigma_r is an uncertainty of the rate command. sigma_a, a force on the vehicle or a thrust that is not along the body's
-z axis, acts as a further tilt; in terms of the effective tilt, tilt + sigma_a, it is matched, too. sigma_b (a force on
-the rod, another length or inertia than the model's) is not: no rate cancels it, and it is estimated only so that it
-does not corrupt the others. At every tick, T apart,
+sigma_r is an uncertainty of the rate command and matched: a rate cancels it. sigma_a, a force on the vehicle or a
+thrust that is not along the body's z axis, acts as a further tilt, and sigma_b, a force on the rod or another length or
+inertia than the model's, as a further lean l sigma_b / 2. In terms of the effective tilt and lean they are matched,
+too, while they change slowly. (Without sigma_b, a wind that blows on vehicle and rod leaves a larger offset than the
+MPC's own, whose two errors partly cancel.) At every tick, T apart,
 
     prediction    z^ <- z^ + T (f(z, u) + B sigma^ + A_s (z^ - z)),   A_s = -``PREDICTOR`` I
     adaptation    sigma^ = -B^-1 Phi^-1 exp(A_s T) (z^ - z),          Phi = A_s^-1 (exp(A_s T) - I)
-    compensation  the MPC is given tilt + C(s) sigma_a^;   u = u_MPC - C(s) sigma_r^,   C(s) = w / (s + w)
+    compensation  the MPC is given tilt + C(s) sigma_a^ and d + l/2 C(s) sigma_b^;   u = u_MPC - C(s) sigma_r^
 
-The piecewise constant adaptation law is as fast as the sampling; robustness is left to the filter C(s). Its bandwidth w
-is a ``SHARE`` of sqrt(2 g / l), the rate at which the rod falls: an estimate that is faster answers the rod's own
-motion, which the model misses in inertia, lag and delay.
+The piecewise constant adaptation law is as fast as the sampling, and short of a constant uncertainty by
+1 - exp(A_s T) = 4 %; robustness is left to the low-pass filter
+C(s) = w / (s + w), its bandwidth w one of ``ESTIMATION_SHARES`` of the rate at which the rod falls.
 
 Source: D. Hanover, P. Foehn, S. Sun, E. Kaufmann, D. Scaramuzza, "Performance, precision, and payloads: adaptive
 nonlinear MPC for quadrotors", IEEE Robotics and Automation Letters, 2021, doi:10.1109/LRA.2021.3131690.
@@ -26,17 +27,14 @@ nonlinear MPC for quadrotors", IEEE Robotics and Automation Letters, 2021, doi:1
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fiplib.controllers import answer
+from fiplib.controllers import ESTIMATION_SHARES, answer, by_axis, rates_by_axis, rates_of
 from fiplib.mpc import MPC, Solution
 from fiplib.params import AXES, GRAVITY, Params
 
-SHARE = 0.25
-"""Bandwidth of the filter as a share of the rate at which the rod falls."""
-
 PREDICTOR = 5.0
-"""Decay rate of the predictor's error, 1/s."""
+"""Decay rate of the predictor's error, 1/s: about that at which the rod falls."""
 
 _MATCHED = np.array([[GRAVITY, 0.0, 0.0], [-GRAVITY, GRAVITY, 0.0], [0.0, 0.0, 1.0]])
 """B: how (sigma_a, sigma_b, sigma_r) act on z'."""
@@ -56,24 +54,21 @@ class L1AugmentedMPC:
         """As ``mpc.MPC.solve``, one call per control period."""
         state = np.array(state, dtype=float)
         length = self.params.pendulum.length if length is None else float(length)
-        shifted = state.copy()
-        z = np.array([axis.sign ** np.array([0, 0, 1]) * state[list(axis.states[1::2]) + [axis.states[4]]] for axis in AXES])
-        offset = np.array([state[axis.states[2]] for axis in AXES])
-        if self._predicted is None:
-            self._predicted = z
-        error = self._predicted - z
+        measured = by_axis(state)
+        z, offset = measured[:, [1, 3, 4]], measured[:, 2]
+        error = z - z if self._predicted is None else self._predicted - z
         sigma = -error @ self._adaptation
-        share = 1.0 - math.exp(-SHARE * math.sqrt(2.0 * GRAVITY / length) * self._period)
-        self._filtered = self._filtered + share * (sigma - self._filtered)
-        for axis, (extra, _, _) in zip(AXES, self._filtered, strict=True):
-            shifted[axis.states[4]] += axis.sign * extra
-        solution = self._mpc.solve(shifted, reference, length)
-        rates = solution.input.copy()
-        for axis, (_, _, extra) in zip(AXES, self._filtered, strict=True):
-            rates[axis.input] -= axis.sign * extra
+        bandwidths = np.array(ESTIMATION_SHARES) * math.sqrt(2.0 * GRAVITY / length)
+        # of (sigma_a, sigma_b, sigma_r), as the shares are
+        self._filtered = self._filtered + (1.0 - np.exp(-bandwidths * self._period)) * (sigma - self._filtered)
+        effective = state.copy()
+        for axis, (tilt, lean, _) in zip(AXES, self._filtered, strict=True):
+            effective[axis.states[2]] += length / 2.0 * lean
+            effective[axis.states[4]] += axis.sign * tilt
+        solution = self._mpc.solve(effective, reference, length)
+        rates = solution.input - rates_of(self._filtered[:, 2])
         given = answer(rates, self.params.vehicle.max_body_rate, solution.status)
-        rate = np.array([axis.sign * given.input[axis.input] for axis in AXES])
         thrust = GRAVITY * z[:, 2]
-        known = np.column_stack([thrust, 2.0 * GRAVITY / length * offset - thrust, rate])
-        self._predicted = self._predicted + self._period * (known + sigma @ _MATCHED.T - PREDICTOR * error)
+        known = np.column_stack([thrust, 2.0 * GRAVITY / length * offset - thrust, rates_by_axis(given.input)])
+        self._predicted = z + error + self._period * (known + sigma @ _MATCHED.T - PREDICTOR * error)
         return given

@@ -49,7 +49,7 @@ def exact_model() -> ca.Function:
 
 
 def newton_step(params: Params, cost: Weights) -> ca.Function:
-    """The quadratic program of one step: (plan (12 N + 10,), x_ref (10, N+1), l) -> H, g, A, gap of the module's text."""
+    """One step's quadratic program: (plan (12 N + 10,), x_ref (10, N+1), l) -> H, g, A, gap of the module's text."""
     control, nodes = params.control, params.control.nodes
     z, x_ref, length = ca.SX.sym("z", STAGE), ca.SX.sym("x_ref", STATE), ca.SX.sym("l")
     x, u = z[:STATE], z[STATE:]
