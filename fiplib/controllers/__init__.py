@@ -15,13 +15,13 @@ from fiplib.params import AXES, STATES, Params
 
 CONTROLLERS = {
     "lqr": "fiplib.controllers.lqr:LQR",
-    "lqr_circle": "fiplib.controllers.lqr_circle:CircleLQR",
     "lqr_ga": "fiplib.controllers.lqr_ga:GATunedLQR",
     "mpc": "fiplib.mpc:MPC",
     "nonlinear_mpc": "fiplib.controllers.nmpc:NonlinearMPC",
     "mpc_l1": "fiplib.controllers.l1:L1AugmentedMPC",
     "offset_free_mpc": "fiplib.controllers.offset_free:OffsetFreeMPC",
     "geometric": "fiplib.controllers.geometric:GeometricControl",
+    "lqr_circle": "fiplib.controllers.lqr_circle:CircleLQR",
 }
 """The class of every controller by name, as ``module:class``."""
 
