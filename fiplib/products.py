@@ -74,6 +74,9 @@ PRODUCTS = {
     "table18-field": Product(
         "fiplib.studies.field:table18_field", studies=("field",), benchmarks=("controller_ticks",)
     ),
+    "table19-flying-pendulum": Product(
+        "fiplib.studies.flying_pendulum:table19_flying_pendulum", studies=("flying_pendulum",)
+    ),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

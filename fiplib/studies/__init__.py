@@ -43,6 +43,7 @@ STUDIES = {
     "observers": "fiplib.studies.observers",
     "step_errors": "fiplib.studies.step_errors",
     "spread": "fiplib.studies.spread",
+    "flying_pendulum": "fiplib.studies.flying_pendulum",
     "field": "fiplib.studies.field",
 }
 """Address of each study by name, see ``load``."""
@@ -50,7 +51,7 @@ STUDIES = {
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors", "field"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
