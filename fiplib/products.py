@@ -53,6 +53,7 @@ PRODUCTS = {
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
     "fig21-field": Product("fiplib.studies.field:fig21_field", studies=("field",)),
+    "fig22-excitation": Product("fiplib.studies.excitation:fig22_excitation", studies=("excitation",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -77,6 +78,7 @@ PRODUCTS = {
     "table19-flying-pendulum": Product(
         "fiplib.studies.flying_pendulum:table19_flying_pendulum", studies=("flying_pendulum",)
     ),
+    "table20-excitation": Product("fiplib.studies.excitation:table20_excitation", studies=("excitation",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

@@ -45,13 +45,14 @@ STUDIES = {
     "spread": "fiplib.studies.spread",
     "flying_pendulum": "fiplib.studies.flying_pendulum",
     "field": "fiplib.studies.field",
+    "excitation": "fiplib.studies.excitation",
 }
 """Address of each study by name, see ``load``."""
 
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum", "excitation"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
