@@ -27,6 +27,7 @@ velocities = Exercise(
         "frames do not come at exactly 240 Hz: take each one's own time": lambda t, p: np.diff(p, axis=0) * 240.0,
         "the sign is wrong: later minus earlier": lambda t, p: -_velocities(t, p),
     },
+    "each difference of positions has its own difference of stamps; look at the unit of the stamps",
     "np.diff(position, axis=0) by np.diff(stamp) in s; stamps are subtracted as whole numbers first",
     "but the closer the frames, the noisier the velocity",
 )
@@ -41,6 +42,7 @@ length_from_lean = Exercise(
         "that fits the tilt to the offset, whose noise biases the length": lambda d, tilt: 2 * (d @ d) / (d @ tilt),
         "the ratio is upside down: offset over tilt is a length": lambda d, tilt: 2 * (d @ tilt) / (d @ d),
     },
+    "fit a line through zero to the offset as a function of the tilt; how is its slope related to the length?",
     "offset = (l/2) tilt: the slope that fits best is sum(offset * tilt) / sum(tilt^2)",
     "in slow motion this ratio is the length, whatever the rod's inertia",
 )
@@ -72,6 +74,7 @@ fresh = Exercise(
         "that is the other way round: True keeps a frame": lambda t, p: ~_fresh(t, p),
         "the first frame has none before it: keep it, one value for each frame": lambda t, p: _fresh(t, p)[1:],
     },
+    "two things must be new in a frame that you keep: its time and its place",
     "compare each frame with the one before; keep it if its stamp is later and any coordinate differs",
     "such frames would have said that the vehicle stands still",
 )

@@ -22,6 +22,12 @@ def _swing(rng: np.random.Generator) -> tuple[NDArray, NDArray, float]:
     return since + rng.uniform(0.0, 5.0), swing, rng.uniform(0.4, 1.0)
 
 
+def _kind(time: NDArray, offset: NDArray, band: float) -> str:
+    if np.abs(offset[-1]) > band:
+        return "a rod that is still outside at the end"
+    return "a rod that settles" if np.abs(offset).max() > band else "a rod that never leaves the band"
+
+
 settling_time = Exercise(
     _settled,
     _swing,
@@ -34,8 +40,10 @@ settling_time = Exercise(
             lambda t, d, band: t[max(np.flatnonzero(np.append(True, np.abs(d) > band))[-1] - 1, 0)]
         ),
     },
+    "look for the last sample outside the band, on either side; three kinds of record need care",
     "the time of the sample after the last one outside: inf if there is none, time[0] if all are inside",
     "a settling time says nothing without its band, and the paper names none",
+    kind=_kind,
 )
 """Settling time."""
 
@@ -56,6 +64,7 @@ fuse = Exercise(
         "a precision is 1 / deviation^2, not 1 / deviation": lambda *of: _fused(*of, power=1),
         "the shares are exchanged: the new estimate has `share`": lambda *of: _fused(*of[:4], 1 - of[4]),
     },
+    "weigh the lengths by precisions, each precision by its share, and go back to a deviation at the end",
     "old = (1 - share) / s1^2, new = share / s2^2; these weigh the lengths, and their sum is the new precision",
     "consistent whatever the two estimates have in common: this is covariance intersection",
 )
@@ -71,6 +80,7 @@ cautious_length = Exercise(
         "the short side of l is the large side of 1/l: add": lambda l, s, c: 1 / (1 / l - c * s / l**2),
         "that is still 1/l: invert it": lambda l, s, c: 1 / l + c * s / l**2,
     },
+    "do it in 1/l: where is its mean, what is its deviation, which way is short?",
     "1/l has the mean 1 / length and the deviation deviation / length^2: go up from there, then invert",
     "positive however vague the belief, and short when in doubt",
 )

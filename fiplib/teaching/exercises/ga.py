@@ -26,8 +26,10 @@ decode = Exercise(
         ),
         "the last bit is worth 1, not 2": lambda bits, low, step: _decoded(bits, low, 2 * step),
     },
+    "read the bits as a binary number, the first bit counting most; then go that many steps up from the shortest",
     "code = sum of bit_i 2^(n-1-i), i = 0 being the first bit; length = l_min + code * resolution",
     "with the paper's numbers some codes lie beyond 2 m: these are infeasible",
+    tolerance=1e-6,  # a code is a whole number: four digits of a length do not name it
 )
 """Lengths from bit strings."""
 
@@ -51,6 +53,7 @@ roulette_probabilities = Exercise(
         ),
         "1 / fitness is no weight: a fitness may be negative, and its zero means nothing": lambda f: 1 / f / sum(1 / f),
     },
+    "weigh everyone by the distance from the worst that is feasible, then make the weights sum to one",
     "weight = worst finite fitness - fitness, none for the infeasible; divide by the sum of the weights",
     "neither the unit nor the zero of the fitness matters on this wheel",
 )
@@ -73,6 +76,7 @@ diversity = Exercise(
         "that is the share of the bits: their number is asked for": lambda bits: _diversity(bits) / bits.shape[1],
         "it is twice too large: N candidates make N (N - 1) / 2 pairs": lambda bits: 2 * _diversity(bits),
     },
+    "compare every candidate with every other one, bit by bit, and average over the pairs",
     "count the bits in which two candidates differ; take the mean over all pairs of different candidates",
     "half the bits in a random population, none in one that has converged, to the truth or too early",
 )

@@ -19,11 +19,12 @@ predict_covariance = Exercise(
     lambda rng: (rng.normal(size=(4, 4)), *(positive_definite(rng, 4) for _ in range(2)), rng.uniform(0.05, 0.2)),
     {
         "that is the printed form: J alone forgets the identity, and the past": lambda j, p, q, step: j @ p @ j.T + q,
-        "dt J forgets the identity: x + dt f(x) gives F = I + dt J": lambda j, p, q, step: step**2 * j @ p @ j.T + q,
+        "dt J forgets the identity: a step adds to the state": lambda j, p, q, step: step**2 * j @ p @ j.T + q,
         "dt is missing: f is a rate, a step of it is dt f": lambda j, p, q, step: _predicted(j, p, q, 1.0),
         "Q_e is missing: the filter would trust its model fully": lambda j, p, q, step: _predicted(j, p, 0 * q, step),
         "transposes are exchanged: F x has the covariance F P F'": lambda j, p, q, step: _predicted(j.T, p, q, step),
     },
+    "a linear map turns a covariance from both sides; which map does the state follow, and what does noise add?",
     "the covariance of F x is F P F'; F is the derivative of x + dt f(x), and the process noise adds Q_e",
     "state and covariance follow the same map now",
 )
@@ -49,6 +50,7 @@ normalised_innovations = Exercise(
         ),
         "that is the mean: one value for each sample is asked for": lambda y, s: _nis(y, s).mean(),
     },
+    "each innovation is weighed by its own covariance, from both sides",
     "y' S^-1 y for each sample; np.linalg.solve takes a stack of matrices",
     "its mean is the number of measured states, if model and noise are right",
 )
@@ -72,6 +74,7 @@ log_likelihood = Exercise(
             lambda y, s: _log_likelihood(y, s) + y.size * math.log(2 * math.pi) / 2
         ),
     },
+    "add the logarithms of the densities: each has an exponential, a determinant, and a constant",
     "the sum over the samples of -(y' S^-1 y + log det S + n log 2 pi) / 2",
     "neither a large gain nor a large covariance can flatter this score",
 )

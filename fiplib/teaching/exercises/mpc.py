@@ -23,6 +23,7 @@ riccati_step = Exercise(
         "R is missing beside B'PB: then control costs nothing": lambda a, b, q, r, p: _riccati(a, b, q, 0 * r, p),
         "the last term is missing: that is the cost of doing nothing, u = 0": lambda a, b, q, r, p: q + a.T @ p @ a,
     },
+    "write the whole cost with x+ = A x + B u, find the best u, and put it back in; mind the transposes",
     "minimise x'Qx + u'Ru + (Ax + Bu)'P(Ax + Bu) over u and put the best u back in; mind the transposes",
     "sixty such steps backwards from P are the whole MPC, as long as no bound is active",
 )
@@ -46,6 +47,7 @@ growths = Exercise(
         "that is the growth of one step: raise the matrices to the power n": lambda a, b, k, n: _grown(a, b, k, 1),
         "the two are exchanged: first without feedback, then with it": lambda *of: _grown(*of)[::-1],
     },
+    "raise each of the two matrices to the power first, then take the norm",
     "the largest growth over n steps is the largest singular value of the n-th power of the step's matrix",
     "now try it on the rod: without feedback the end of the plan hangs on the last digits of its beginning",
 )
@@ -67,6 +69,7 @@ state_when_it_acts = Exercise(
         "all commands on their way act, not only the oldest": lambda a, b, x, sent: _moved(a, b, x, sent[:1]),
         "the rod goes on falling meanwhile: A acts in every step": lambda a, b, x, sent: x + b @ sent.sum(axis=0),
     },
+    "simulate: the vehicle goes on moving, one step for each command",
     "one step x = A x + B u for each command that is on its way",
     "planning from where the vehicle will be takes the delay out of the loop, as far as the model holds",
 )
