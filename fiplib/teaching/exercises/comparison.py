@@ -83,6 +83,8 @@ REDUCTIONS: dict[str, Callable[[NDArray], NDArray]] = {
 CHANGES: dict[str, Callable[[Any], Any]] = {
     "twice {}": lambda x: 2 * x,
     "half of {}": lambda x: x / 2,
+    "a quarter of {}": lambda x: x / 4,
+    "four times {}": lambda x: 4 * x,
     "minus {}": lambda x: -x,
     "the square of {}": lambda x: x * x,
     "the root of {}": lambda x: np.sqrt(x),
@@ -95,6 +97,11 @@ CHANGES: dict[str, Callable[[Any], Any]] = {
     "{} in degrees": lambda x: np.degrees(x),
     "{} in radians": lambda x: np.radians(x),
     "the absolute value of {}": lambda x: np.abs(x),
+    "the negative values of {} alone": lambda x: np.minimum(x, 0),
+    "True and False exchanged in {}": lambda x: np.logical_not(x) if x.dtype == bool else None,
+    "all but the last of {}": lambda x: x[:-1],
+    "all but the first of {}": lambda x: x[1:],
+    "one more zero after {}": lambda x: np.concatenate([x, 0 * x[:1]]),
     "{} plus one": lambda x: x + 1,
     "{} minus one": lambda x: x - 1,
 }
@@ -227,43 +234,63 @@ def nearly(given: Values, expected: Values) -> str | None:
     return "nearly right, within 1 %: is a constant rounded (g is 9.81), or a small term left out?" if near else None
 
 
-def of_inputs(truth: Callable[[tuple], NDArray | None], given: Values, trials: Sequence[tuple], names: Sequence[str],
-              tolerance: float) -> str | None:  # fmt: skip
+def of_inputs(truth: Callable[[tuple], NDArray], given: Values, trials: Sequence[tuple], names: Sequence[str],
+              tolerance: float, multiple: bool = False) -> str | None:  # fmt: skip
     """Return with which wrong argument the right function would give this value: "half of `length`".
 
-    ``truth`` returns the right value at changed arguments, or None where it has none.
+    ``truth`` returns the right value at changed arguments; with ``multiple`` the value may be a multiple of that.
     """
     for words, changed in _changes(trials[0], names):
-        for trial, mine in zip(trials, given, strict=True):
+        images: list[NDArray] = []
+        for trial in trials:
             try:
-                there = truth(changed(trial))
+                images.append(truth(changed(trial)))
             except Exception:  # changed arguments may make no sense to the right function
                 break
-            if there is None or not agree([mine], [there], tolerance):
+            so_far = given[: len(images)]
+            if not agree(so_far, images, tolerance) and not multiple:
+                break
+            if multiple and len(images) > 1 and _factor(so_far, images, tolerance) is None:
                 break
         else:
-            return words
+            factor = _factor(given, images, tolerance) if multiple else 1.0
+            if factor is not None:
+                return f"what comes out with {words}" + (f", and then {_times(factor, tolerance)}" if multiple else "")
     return None
 
 
 def _changes(trial: tuple, names: Sequence[str]) -> Iterator[tuple[str, Callable[[tuple], tuple]]]:
-    """Changes of one argument, then exchanges of two of the same shape."""
+    """Changes of one argument, then of one by another one, then of all arrays."""
 
     def replaced(k: int, by: Callable[[tuple], Any]) -> Callable[[tuple], tuple]:
-        return lambda arguments: (*arguments[:k], by(arguments), *arguments[k + 1 :])
+        return lambda of: (*of[:k], by(of), *of[k + 1 :])
 
-    for k, name in enumerate(names):
+    quoted = [f"`{name}`" for name in names]
+    for k, name in enumerate(quoted):
         for words, change in CHANGES.items():
-            phrase = f"what comes out with {words.format(f'`{name}`')} where `{name}` belongs"
-            yield phrase, replaced(k, lambda arguments, k=k, change=change: change(arguments[k]))
+            yield (
+                f"{words.format(name)} where {name} belongs",
+                replaced(k, lambda of, k=k, change=change: change(of[k])),
+            )
     for k, m in permutations(range(len(names)), 2):
+        first, second = quoted[k], quoted[m]
         if np.shape(trial[k]) == np.shape(trial[m]):
-            yield f"what comes out with `{names[m]}` where `{names[k]}` belongs", replaced(k, lambda of, m=m: of[m])
+            yield f"{second} where {first} belongs", replaced(k, lambda of, m=m: of[m])
             if k < m:
+                order = {k: m, m: k}
                 yield (
-                    f"what comes out with `{names[k]}` and `{names[m]}` exchanged",
-                    lambda of, k=k, m=m: tuple(of[{k: m, m: k}.get(n, n)] for n in range(len(of))),
+                    f"{first} and {second} exchanged",
+                    lambda of, to=order: tuple(of[to.get(n, n)] for n in range(len(of))),
                 )
+        if np.ndim(trial[m]) == 0:
+            for words, power in (("times {}", 1), ("divided by {}", -1), ("divided by the square of {}", -2)):
+                phrase = f"{first} {words.format(second)} where {first} belongs"
+                yield phrase, replaced(k, lambda of, k=k, m=m, power=power: of[k] * float(of[m]) ** power)
+    for words, part in (("the last sample", slice(None, -1)), ("the first sample", slice(1, None))):
+        yield (
+            f"{words} left out of all arrays",
+            lambda of, part=part: tuple(value[part] if np.ndim(value) else value for value in of),
+        )
 
 
 def of_terms(
@@ -274,7 +301,7 @@ def of_terms(
     for k, name in enumerate(names):
         argument = [np.asarray(trial[k]) * 1.0 for trial in trials]
         argument = [x if x.ndim else np.full_like(d, x) for x, d in zip(argument, difference, strict=True)]
-        if _factor(given, argument, tolerance) == 1.0:
+        if abs((_factor(given, argument, tolerance) or 0.0) - 1) <= tolerance:
             return f"`{name}` as it came"
         term = _factor(difference, argument, tolerance)
         if term is not None and min(abs(abs(term) - times) for times in (0.5, 1.0, 2.0)) <= 10 * tolerance:
@@ -297,8 +324,13 @@ def _sizes(trials: Sequence[tuple], names: Sequence[str]) -> Iterator[tuple[str,
         if all(np.ndim(value) == 0 for value in values):
             numbers = {f"`{name}`": values}
         else:
-            lengths = [len(value) for value in values]
-            numbers = {f"len({name})": lengths, f"len({name}) - 1": [length - 1 for length in lengths]}
+            n = [len(value) for value in values]
+            count = f"len({name})"
+            numbers = {
+                count: n,
+                f"{count} - 1": [k - 1 for k in n],
+                f"{count} / ({count} - 1)": [k / max(k - 1, 0.5) for k in n],
+            }
         for words, sizes in numbers.items():
             if min(sizes) > 0 and len(set(sizes)) > 1:
                 yield words, [float(size) for size in sizes]

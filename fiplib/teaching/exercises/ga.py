@@ -52,6 +52,18 @@ roulette_probabilities = Exercise(
             lambda f: np.where(np.isfinite(f), f[np.isfinite(f)].max() - f, 0.0)
         ),
         "1 / fitness is no weight: a fitness may be negative, and its zero means nothing": lambda f: 1 / f / sum(1 / f),
+        "everyone has the same chance on your wheel: weigh by the fitness": lambda f: (
+            np.isfinite(f) / np.isfinite(f).sum()
+        ),
+        "the fitness itself is no weight: take the distance from the worst": lambda f: (
+            (w := np.where(np.isfinite(f), f, 0.0)) / w.sum()
+        ),
+        "the weights are squared: the distance from the worst itself is asked for": lambda f: (
+            (w := _wheel(f) ** 2) / w.sum()
+        ),
+        "that is the share of the infeasible as well: they must not count in the sum": lambda f: (
+            _wheel(f) * np.isfinite(f).sum() / len(f)
+        ),
     },
     "weigh everyone by the distance from the worst that is feasible, then make the weights sum to one",
     "weight = worst finite fitness - fitness, none for the infeasible; divide by the sum of the weights",
@@ -75,6 +87,21 @@ diversity = Exercise(
         "that is the sum over the pairs: take their mean": lambda bits: _diversity(bits) * math.comb(len(bits), 2),
         "that is the share of the bits: their number is asked for": lambda bits: _diversity(bits) / bits.shape[1],
         "it is twice too large: N candidates make N (N - 1) / 2 pairs": lambda bits: 2 * _diversity(bits),
+        "neighbours alone are compared: compare every candidate with every other one": lambda bits: (
+            (bits[1:] != bits[:-1]).sum() / (len(bits) - 1)
+        ),
+        "all are compared with the first one: compare every candidate with every other one": lambda bits: (
+            (bits[1:] != bits[0]).sum() / (len(bits) - 1)
+        ),
+        "that counts different candidates: count the bits in which two of them differ": lambda bits: len(
+            np.unique(bits, axis=0)
+        ),
+        "that is a sum of deviations: count the bits in which two candidates differ": lambda bits: bits.std(
+            axis=0
+        ).sum(),
+        "that is a sum of variances: count the bits in which two candidates differ": lambda bits: bits.var(
+            axis=0
+        ).sum(),
     },
     "compare every candidate with every other one, bit by bit, and average over the pairs",
     "count the bits in which two candidates differ; take the mean over all pairs of different candidates",

@@ -155,21 +155,25 @@ class Exercise:
         for k, (mine, true) in enumerate(zip(*columns, strict=True)):
             if not agree(mine, true, self.tolerance):
                 what = "your result is" if count == 1 else f"the {ordinal(k)} of your {count} values is"
-                words = self._of_value(k, mine, true, trials, names) or self._ignored(answer, k, trials, names)
-                words = words or comparison.of_parts(mine, true, self.tolerance)
+                words = (
+                    self._of_value(k, mine, true, trials, names)
+                    or self._ignored(answer, k, trials, names)
+                    or comparison.of_parts(mine, true, self.tolerance)
+                    or comparison.of_inputs(self._value(k), mine, trials, names, self.tolerance, multiple=True)
+                )
                 return words and f"{what} {words}"
         return None
 
-    def _of_value(self, k: int, mine: Parts, true: Parts, trials: list[tuple], names: list[str]) -> str | None:
-        def truth(arguments: tuple) -> NDArray:
-            return parts_of(self.truth(*arguments), None)[k]
+    def _value(self, k: int) -> Callable[[tuple], NDArray]:
+        return lambda arguments: parts_of(self.truth(*arguments), None)[k]
 
+    def _of_value(self, k: int, mine: Parts, true: Parts, trials: list[tuple], names: list[str]) -> str | None:
         tolerance = self.tolerance
         return (
             comparison.relation(mine, true, tolerance)
             or self._of_some(mine, true, trials, names)
             or comparison.of_constants(mine, true, tolerance)
-            or comparison.of_inputs(truth, mine, trials, names, tolerance)
+            or comparison.of_inputs(self._value(k), mine, trials, names, tolerance)
             or comparison.of_terms(mine, true, trials, names, tolerance)
             or comparison.nearly(mine, true)
         )

@@ -23,6 +23,19 @@ predict_covariance = Exercise(
         "dt is missing: f is a rate, a step of it is dt f": lambda j, p, q, step: _predicted(j, p, q, 1.0),
         "Q_e is missing: the filter would trust its model fully": lambda j, p, q, step: _predicted(j, p, 0 * q, step),
         "transposes are exchanged: F x has the covariance F P F'": lambda j, p, q, step: _predicted(j.T, p, q, step),
+        "the transpose is missing: F stands on both sides, transposed on the right": lambda j, p, q, step: (
+            (f := np.eye(len(j)) + step * j) @ p @ f + q
+        ),
+        "F stands on both sides: a covariance is turned from the left and from the right": lambda j, p, q, step: (
+            (np.eye(len(j)) + step * j) @ p + q
+        ),
+        "1 is added to every entry: the identity is np.eye": lambda j, p, q, step: (f := 1 + step * j) @ p @ f.T + q,
+        "the term of second order in dt is missing: multiply F P F' out": lambda j, p, q, step: (
+            p + step * (j @ p + p @ j.T) + q
+        ),
+        "Q_e is added after the step, it does not go through it": lambda j, p, q, step: _predicted(
+            j, p + q, 0 * q, step
+        ),
     },
     "a linear map turns a covariance from both sides; which map does the state follow, and what does noise add?",
     "the covariance of F x is F P F'; F is the derivative of x + dt f(x), and the process noise adds Q_e",
@@ -49,6 +62,9 @@ normalised_innovations = Exercise(
             lambda y, s: (y**2 / np.diagonal(s, axis1=1, axis2=2)).sum(axis=1)
         ),
         "that is the mean: one value for each sample is asked for": lambda y, s: _nis(y, s).mean(),
+        "dividing by a determinant is no inverse: directions of small variance count more": lambda y, s: (
+            (y**2).sum(1) / np.linalg.det(s)
+        ),
     },
     "each innovation is weighed by its own covariance, from both sides",
     "y' S^-1 y for each sample; np.linalg.solve takes a stack of matrices",
@@ -72,6 +88,10 @@ log_likelihood = Exercise(
         "that is -2 log L, small where the likelihood is large: divide by -2": lambda y, s: -2 * _log_likelihood(y, s),
         "the constant n log 2 pi is missing: it moves no optimum, yet belongs to a likelihood": (
             lambda y, s: _log_likelihood(y, s) + y.size * math.log(2 * math.pi) / 2
+        ),
+        "only the exponential is there: log det S and the constant are missing": lambda y, s: -_nis(y, s).sum() / 2,
+        "the determinant itself is added: take its logarithm": lambda y, s: (
+            _log_likelihood(y, s) + (np.linalg.slogdet(s)[1] - np.linalg.det(s)).sum() / 2
         ),
     },
     "add the logarithms of the densities: each has an exponential, a determinant, and a constant",

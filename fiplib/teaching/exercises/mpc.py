@@ -22,6 +22,12 @@ riccati_step = Exercise(
         "the cost of the step itself is missing: add Q": lambda a, b, q, r, p: _riccati(a, b, 0 * q, r, p),
         "R is missing beside B'PB: then control costs nothing": lambda a, b, q, r, p: _riccati(a, b, q, 0 * r, p),
         "the last term is missing: that is the cost of doing nothing, u = 0": lambda a, b, q, r, p: q + a.T @ p @ a,
+        "the cost of the input is missing: u'Ru counts as well": lambda a, b, q, r, p: (
+            _riccati(a, b, q, r, p) - (k := np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)).T @ r @ k
+        ),
+        "the input moves the next state, too: R alone is not what the gain is weighed with": lambda a, b, q, r, p: (
+            q + a.T @ p @ a - (k := np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)).T @ r @ k
+        ),
     },
     "write the whole cost with x+ = A x + B u, find the best u, and put it back in; mind the transposes",
     "minimise x'Qx + u'Ru + (Ax + Bu)'P(Ax + Bu) over u and put the best u back in; mind the transposes",
@@ -46,6 +52,21 @@ growths = Exercise(
         "that is the Frobenius norm: the largest growth is np.linalg.norm(M, 2)": lambda *of: _grown(*of, "fro"),
         "that is the growth of one step: raise the matrices to the power n": lambda a, b, k, n: _grown(a, b, k, 1),
         "the two are exchanged: first without feedback, then with it": lambda *of: _grown(*of)[::-1],
+        "the power of a norm is only a bound: raise the matrix to the power, then take the norm": lambda a, b, k, n: (
+            tuple(np.linalg.norm(matrix, 2) ** n for matrix in (a, a - b @ k))
+        ),
+        "the largest eigenvalue rules in the long run only: take the largest singular value": lambda a, b, k, n: tuple(
+            np.abs(np.linalg.eigvals(matrix)).max() ** n for matrix in (a, a - b @ k)
+        ),
+        "that is the largest entry: the largest growth is np.linalg.norm(M, 2), in the worst direction": (
+            lambda a, b, k, n: tuple(np.abs(np.linalg.matrix_power(m, n)).max() for m in (a, a - b @ k))
+        ),
+        "that is another norm, of column sums: np.linalg.norm(M, 2) takes the worst direction": lambda *of: _grown(
+            *of, 1
+        ),
+        "that is another norm, of row sums: np.linalg.norm(M, 2) takes the worst direction": lambda *of: _grown(
+            *of, np.inf
+        ),
     },
     "raise each of the two matrices to the power first, then take the norm",
     "the largest growth over n steps is the largest singular value of the n-th power of the step's matrix",
@@ -68,6 +89,15 @@ state_when_it_acts = Exercise(
         "commands act in the order they were sent, the oldest first": lambda a, b, x, sent: _moved(a, b, x, sent[::-1]),
         "all commands on their way act, not only the oldest": lambda a, b, x, sent: _moved(a, b, x, sent[:1]),
         "the rod goes on falling meanwhile: A acts in every step": lambda a, b, x, sent: x + b @ sent.sum(axis=0),
+        "that is one step, with the newest command: there is a step for each command": lambda a, b, x, sent: (
+            a @ x + b @ sent[-1]
+        ),
+        "that is one step with all commands at once: there is a step for each command": lambda a, b, x, sent: (
+            a @ x + b @ sent.sum(axis=0)
+        ),
+        "steps are added up: each one starts from where the step before has ended": lambda a, b, x, sent: sum(
+            a @ x + b @ u for u in sent
+        ),
     },
     "simulate: the vehicle goes on moving, one step for each command",
     "one step x = A x + B u for each command that is on its way",
