@@ -29,6 +29,9 @@ velocities = Exercise(
         "positions are not differences: a velocity is a difference divided by its time": lambda t, p: (
             p[1:] / (np.diff(t)[:, None] / 1e9)
         ),
+        "the time of a frame is not the time between frames: take differences of the stamps": lambda t, p: (
+            np.diff(p, axis=0) / (t[1:, None] / 1e9)
+        ),
     },
     "each difference of positions has its own difference of stamps; look at the unit of the stamps",
     "np.diff(position, axis=0) by np.diff(stamp) in s; stamps are subtracted as whole numbers first",
@@ -55,6 +58,9 @@ length_from_lean = Exercise(
         "a ratio of sizes counts the noise as lean: fit a slope": lambda d, tilt: 2 * np.sqrt((d @ d) / (tilt @ tilt)),
         "the square of a sum is not the sum of squares": lambda d, tilt: 2 * (d @ tilt) / tilt.sum() ** 2,
         "your line has an intercept: it is to go through zero": lambda d, tilt: 2 * np.polyfit(tilt, d, 1)[0],
+        "ratios are added up: fit a slope": lambda d, tilt: 2 * np.sum(d / tilt),
+        "a ratio of the scatters counts the noise as lean: fit a slope": lambda d, tilt: 2 * d.std() / tilt.std(),
+        "one sample decides, the largest: fit a slope to all": lambda d, tilt: 2 * d.max() / tilt.max(),
     },
     "fit a line through zero to the offset as a function of the tilt; how is its slope related to the length?",
     "offset = (l/2) tilt: the slope that fits best is sum(offset * tilt) / sum(tilt^2)",

@@ -98,6 +98,7 @@ cautious_length = Exercise(
         "the deviation of 1/l has the square of the length below it": lambda l, s, c: 1 / (1 / l + c * s / l),
         "the deviation multiplies: a wide belief goes further": lambda l, s, c: 1 / (1 / l + c / s),
         "the belief is Gaussian in 1/l, not in log l": lambda l, s, c: l * math.exp(-c * s / l),
+        "a step in 1/l is taken from l: invert first, go up, invert again": lambda l, s, c: l - c * s / l**2,
     },
     "do it in 1/l: where is its mean, what is its deviation, which way is short?",
     "1/l has the mean 1 / length and the deviation deviation / length^2: go up from there, then invert",

@@ -5,7 +5,7 @@ is a list of arrays, one array for each trial, of the same shapes as the right o
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -104,6 +104,7 @@ CHANGES: dict[str, Callable[[Any], Any]] = {
     "one more zero after {}": lambda x: np.concatenate([x, 0 * x[:1]]),
     "{} plus one": lambda x: x + 1,
     "{} minus one": lambda x: x - 1,
+    "one minus {}": lambda x: 1 - x,
 }
 """What typical mistakes make of an argument before they use it rightly."""
 
@@ -173,12 +174,12 @@ def _factor(given: Values, images: Values, tolerance: float) -> float | None:
         return None
     mine, theirs = _flat(given), _flat(images)
     usable = np.isfinite(mine) & np.isfinite(theirs)
-    if not usable.any() or not (size := np.abs(theirs[usable]).max()):
+    if not usable.any() or not theirs[usable].any():
         return None
     top = np.flatnonzero(usable)[np.abs(theirs[usable]).argmax()]
     factor = (mine[top] / theirs[top]).real
     known = any(abs(factor / name - 1) <= tolerance for name in (*FACTORS, 1.0))
-    if not np.isfinite(factor) or abs(factor) * size < 1e-12 or not (known or _several(images)):
+    if not np.isfinite(factor) or not factor or not (known or _several(images)):
         return None
     scaled = [factor * image for image in images]
     return factor if agree(given, scaled, tolerance) else None
@@ -315,6 +316,39 @@ def of_terms(
                     also = "" if abs(factor - 1) <= tolerance else f", and the rest is {_times(factor, tolerance)}"
                     return f"right but for a factor: {words.format(name)} is {verdict}{also}"
     return None
+
+
+def of_sum(given: Values, expected: Values, terms: Sequence[Mapping[str, Any]], tolerance: float) -> str | None:
+    """Return which terms are counted wrongly, if the value is a sum of named ones: "Q counts 0 times instead of 1"."""
+    if any(mine.shape != true.shape for mine, true in zip(given, expected, strict=True)):
+        return None
+    matrix = np.transpose(
+        [
+            _flat([np.full(true.shape, these[name]) for these, true in zip(terms, expected, strict=True)])
+            for name in terms[0]
+        ]
+    )
+    mine, true = _flat(given), _flat(expected)
+    if not np.isfinite(mine).all() or len(mine) < len(terms[0]) + 2:
+        return None
+    fits = [np.linalg.lstsq(matrix, values)[0] for values in (mine, true)]
+    if np.abs(matrix @ fits[0] - mine).max() > tolerance * np.abs(mine).max():
+        return None
+    wrong = [(name, a, b) for name, a, b in zip(terms[0], *fits, strict=True) if abs(a - b) > 0.01]
+    texts = [f"{name} counts {round(a, 3) + 0:g} times instead of {abs(round(b))}" for name, a, b in wrong]
+    return "the right one, but " + " and ".join(texts)
+
+
+def by_size(given: Values, expected: Values) -> str:
+    """Return by how much a wrong value is too large at every input, or too small; empty if it is neither."""
+    sizes = [[np.sqrt(np.mean(np.abs(value) ** 2)) for value in values] for values in (given, expected)]
+    if not np.isfinite(sizes).all() or min(sizes[1]) == 0:
+        return ""
+    ratios = np.divide(*sizes)
+    if ratios.min() > 1 + NEAR or ratios.max() < 1 - NEAR:
+        words = "too large" if ratios.min() > 1 else "too small"
+        return f"{words} at every input, {ratios.min():.2g} to {ratios.max():.2g} times the right one; "
+    return ""
 
 
 def _sizes(trials: Sequence[tuple], names: Sequence[str]) -> Iterator[tuple[str, list[float]]]:

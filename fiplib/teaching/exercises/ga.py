@@ -25,10 +25,22 @@ decode = Exercise(
             lambda bits, low, step: low + step * bits.sum(axis=1)
         ),
         "the last bit is worth 1, not 2": lambda bits, low, step: _decoded(bits, low, 2 * step),
+        "the bits are read as decimal digits: each is worth twice the one after it": lambda bits, low, step: (
+            low + step * (bits @ 10.0 ** np.arange(bits.shape[1])[::-1])
+        ),
     },
     "read the bits as a binary number, the first bit counting most; then go that many steps up from the shortest",
     "code = sum of bit_i 2^(n-1-i), i = 0 being the first bit; length = l_min + code * resolution",
     "with the paper's numbers some codes lie beyond 2 m: these are infeasible",
+    terms=lambda bits, low, step: {
+        "l_min": low,
+        "code * resolution": _decoded(bits, 0.0, step),
+        "resolution": step,
+        "code": _decoded(bits, 0.0, 1.0),
+        "code read backwards * resolution": _decoded(bits[:, ::-1], 0.0, step),
+        "last bit * resolution": bits[:, -1] * step,
+        "number of ones * resolution": bits.sum(axis=1) * step,
+    },
     tolerance=1e-6,  # a code is a whole number: four digits of a length do not name it
 )
 """Lengths from bit strings."""
@@ -64,6 +76,7 @@ roulette_probabilities = Exercise(
         "that is the share of the infeasible as well: they must not count in the sum": lambda f: (
             _wheel(f) * np.isfinite(f).sum() / len(f)
         ),
+        "the infeasible take part: their weight is zero": lambda f: (w := np.argsort(np.argsort(-f))) / w.sum(),
     },
     "weigh everyone by the distance from the worst that is feasible, then make the weights sum to one",
     "weight = worst finite fitness - fitness, none for the infeasible; divide by the sum of the weights",
@@ -102,6 +115,12 @@ diversity = Exercise(
         "that is a sum of variances: count the bits in which two candidates differ": lambda bits: bits.var(
             axis=0
         ).sum(),
+        "that is the number of ones: count the bits in which two candidates differ": lambda bits: bits.sum(
+            axis=1
+        ).mean(),
+        "that is the largest difference of a pair: take the mean over all pairs": lambda bits: max(
+            (a != b).sum() for a in bits for b in bits
+        ),
     },
     "compare every candidate with every other one, bit by bit, and average over the pairs",
     "count the bits in which two candidates differ; take the mean over all pairs of different candidates",

@@ -10,6 +10,7 @@ An answer that never returns is not graded: interrupt the kernel, as with any en
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from fiplib.teaching.exercises.results import (
 )
 
 DRAWS = 6
-"""Number of random inputs at which an answer is tried."""
+"""Number of random inputs at which an answer is tried, unless the exercise says otherwise."""
 
 TOLERANCE = 5e-4
 """Relative to the largest number of a value: four correct digits, so that g = 9.807 and rounded results are right.
@@ -52,6 +53,9 @@ class Exercise:
         praise: the sentence for a right answer.
         kind: names the kind of an input, from its arguments, where the exercise has several: "rods of equal length".
         tolerance: the relative error up to which a result is right.
+        draws: number of inputs at which an answer is tried: more where few results are possible, for chance hits few.
+        terms: quantities by name of which the right result is the sum, where it is one, and others that are mistaken
+            for them; from the arguments.
         tries: number of wrong answers so far; a right one sets it back.
     """
 
@@ -63,12 +67,14 @@ class Exercise:
     praise: str = field(repr=False)
     kind: Callable[..., str] | None = field(default=None, repr=False, kw_only=True)
     tolerance: float = field(default=TOLERANCE, kw_only=True)
+    draws: int = field(default=DRAWS, kw_only=True)
+    terms: Callable[..., Mapping[str, Any]] | None = field(default=None, repr=False, kw_only=True)
     tries: int = field(default=0, init=False)
 
     def inputs(self) -> list[tuple]:
         """Return the arguments at which answers are tried, one tuple for each trial: the same ones each time."""
         rng = np.random.default_rng(0)
-        return [self.draw(rng) for _ in range(DRAWS)]
+        return [self.draw(rng) for _ in range(self.draws)]
 
     def check(self, answer: Answer) -> None:
         """Print whether the answer is right, and what is wrong with it; raises nothing, so that a notebook runs on.
@@ -90,7 +96,7 @@ class Exercise:
 
     @np.errstate(all="ignore")
     def grade(self, answer: Answer) -> None:
-        """Compare an answer with the truth at ``DRAWS`` random inputs. Raises NotYet: says what is wrong with it."""
+        """Compare an answer with the truth at the random inputs. Raises NotYet: says what is wrong with it."""
         trials = self.inputs()
         expected = [parts_of(called(self.truth, trial), None) for trial in trials]
         given = self._results(answer, trials, expected)
@@ -99,7 +105,7 @@ class Exercise:
             return
         names = names_of(answer, len(trials[0]))
         wrong = right.index(False)
-        place = f"input {wrong + 1} of {DRAWS}, inputs()[{wrong}] of the exercise"
+        place = f"input {wrong + 1} of {self.draws}, inputs()[{wrong}] of the exercise"
         evidence = f"{place}: {input_in_words(trials[wrong], names)}: {beside(given[wrong], expected[wrong])}"
         numbers = np.concatenate([part.ravel() for mine in given for part in mine])
         empty = bool(np.isnan(numbers).all() or not numbers.any())
@@ -111,7 +117,14 @@ class Exercise:
             or _of_numbers(given, expected, trials, names)
             or self._of_values(answer, given, expected, trials, names)
         )
-        raise NotYet(words or self.hint, evidence, empty)
+        raise NotYet(words or self._general(given, expected), evidence, empty)
+
+    def _general(self, given: list[Parts], expected: list[Parts]) -> str:
+        """The hint, after whether a single value is too large or too small."""
+        if len(expected[0]) > 1:
+            return self.hint
+        size = comparison.by_size([part for [part] in given], [part for [part] in expected])
+        return f"{size}{self.hint}"
 
     def _results(self, answer: Answer, trials: list[tuple], expected: list[Parts]) -> list[Parts]:
         """The results of an answer in the shapes of the right ones, where they differ in axes of length one only."""
@@ -173,6 +186,7 @@ class Exercise:
             comparison.relation(mine, true, tolerance)
             or self._of_some(mine, true, trials, names)
             or comparison.of_constants(mine, true, tolerance)
+            or (self.terms and comparison.of_sum(mine, true, [self.terms(*trial) for trial in trials], tolerance))
             or comparison.of_inputs(self._value(k), mine, trials, names, tolerance)
             or comparison.of_terms(mine, true, trials, names, tolerance)
             or comparison.nearly(mine, true)

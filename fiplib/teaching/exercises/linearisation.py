@@ -91,7 +91,7 @@ steady_lean = Exercise(
 
 controllable_states = Exercise(
     lambda first, second: 5 if first == second else 7,
-    lambda rng: (first := rng.uniform(0.3, 1.0), first + rng.integers(2) * rng.uniform(0.3, 0.9)),
+    lambda rng: (first := rng.uniform(0.3, 1.0), first + rng.choice([0.0, 0.06, rng.uniform(0.3, 0.9)])),
     {
         "rods of equal length answer every tilt alike: nothing moves one against the other": lambda first, second: 7,
         "rods of different length fall at different rates, enough to steer them apart": lambda first, second: 5,
@@ -103,5 +103,6 @@ controllable_states = Exercise(
     "the rank of [B, A B, ..., A^6 B]; powers of matrices with @ or matrix_power, as ** acts on single entries",
     "a vehicle can balance two rods at once, unless they are twins",
     kind=lambda first, second: "rods of equal length" if first == second else "rods of different length",
+    draws=16,  # there are two results only
 )
 """Controllable states with two rods on one vehicle."""

@@ -12,6 +12,11 @@ def _riccati(a: NDArray, b: NDArray, q: NDArray, r: NDArray, p: NDArray) -> NDAr
     return q + gain.T @ r @ gain + closed.T @ p @ closed
 
 
+def _riccati_terms(a: NDArray, b: NDArray, q: NDArray, r: NDArray, p: NDArray) -> dict[str, NDArray]:
+    k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+    return {"Q": q, "A'PA": a.T @ p @ a, "K'RK": -k.T @ r @ k, "K'B'PBK": -k.T @ b.T @ p @ b @ k, "P": p}
+
+
 riccati_step = Exercise(
     _riccati,
     lambda rng: (rng.normal(size=(4, 4)), rng.normal(size=(4, 2)), *(positive_definite(rng, n) for n in (4, 2, 4))),
@@ -28,10 +33,18 @@ riccati_step = Exercise(
         "the input moves the next state, too: R alone is not what the gain is weighed with": lambda a, b, q, r, p: (
             q + a.T @ p @ a - (k := np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)).T @ r @ k
         ),
+        "the inverse is missing: the gain is a solution of (R + B'PB) K = B'PA": lambda a, b, q, r, p: (
+            q + a.T @ p @ a - a.T @ p @ b @ (r + b.T @ p @ b) @ b.T @ p @ a
+        ),
+        "the sign of the feedback is wrong: u = -K x, so the loop is A - B K": lambda a, b, q, r, p: (
+            q + (k := np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)).T @ r @ k + (closed := a + b @ k).T @ p @ closed
+        ),
+        "* multiplies entry by entry: matrices are multiplied by @": lambda a, b, q, r, p: q + a.T * p * a,
     },
     "write the whole cost with x+ = A x + B u, find the best u, and put it back in; mind the transposes",
     "minimise x'Qx + u'Ru + (Ax + Bu)'P(Ax + Bu) over u and put the best u back in; mind the transposes",
     "sixty such steps backwards from P are the whole MPC, as long as no bound is active",
+    terms=_riccati_terms,
 )
 """One step of the Riccati recursion."""
 
@@ -67,6 +80,7 @@ growths = Exercise(
         "that is another norm, of row sums: np.linalg.norm(M, 2) takes the worst direction": lambda *of: _grown(
             *of, np.inf
         ),
+        "that is the smallest singular value: the largest growth is np.linalg.norm(M, 2)": lambda *of: _grown(*of, -2),
     },
     "raise each of the two matrices to the power first, then take the norm",
     "the largest growth over n steps is the largest singular value of the n-th power of the step's matrix",
@@ -79,6 +93,14 @@ def _moved(a: NDArray, b: NDArray, x: NDArray, sent: NDArray) -> NDArray:
     for u in sent:
         x = a @ x + b @ u
     return x
+
+
+def _moved_terms(a: NDArray, b: NDArray, x: NDArray, sent: NDArray) -> dict[str, NDArray]:
+    """Where the state and each command, the oldest first, get by steps: too few, right, one too many."""
+    moved = {f"A^{n} x": np.linalg.matrix_power(a, n) @ x for n in range(len(sent) + 2)}
+    for k, u in enumerate(sent):
+        moved |= {f"A^{n} B u_{k}": np.linalg.matrix_power(a, n) @ b @ u for n in range(len(sent) + 1)}
+    return moved
 
 
 state_when_it_acts = Exercise(
@@ -98,9 +120,16 @@ state_when_it_acts = Exercise(
         "steps are added up: each one starts from where the step before has ended": lambda a, b, x, sent: sum(
             a @ x + b @ u for u in sent
         ),
+        "A x is the next state already: nothing of the old one is added": lambda a, b, x, sent: _moved(
+            a + np.eye(len(x)), b, x, sent
+        ),
+        "a command goes on acting through A in the steps after its own": lambda a, b, x, sent: (
+            np.linalg.matrix_power(a, len(sent)) @ x + b @ sent.sum(axis=0)
+        ),
     },
     "simulate: the vehicle goes on moving, one step for each command",
     "one step x = A x + B u for each command that is on its way",
     "planning from where the vehicle will be takes the delay out of the loop, as far as the model holds",
+    terms=_moved_terms,
 )
 """The state at which a delayed command will act."""
