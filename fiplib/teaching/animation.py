@@ -119,7 +119,7 @@ def vehicle_lines(position: NDArray, orientation: NDArray, vehicle: Vehicle, sca
 
 def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
     """Vehicle, its shadow on the floor, and rod in 3-D axes; returns what moves them to a time in s."""
-    times, seats, coms = _joined(flight)
+    times, seats, coms = joined(flight)
     frames = flight.vehicle.position
     floor = _frame(axes, np.concatenate([frames, 2 * coms - seats]))
     axes.plot(*frames[:, :2].T, floor, color=GREY, lw=0.4, alpha=0.6)
@@ -147,7 +147,7 @@ def _scene(axes: Axes3D, flight: Flight) -> Callable[[float], list]:
     return show
 
 
-def _joined(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
+def joined(flight: Flight) -> tuple[NDArray, NDArray, NDArray]:
     """Times (n,) s, positions (n, 3) m of the rod's seat, and of its centre of mass at the same times."""
     times, others = flight.time(flight.vehicle), flight.time(flight.pendulum)
     com = np.column_stack([np.interp(times, others, column) for column in flight.pendulum.position.T])
@@ -175,7 +175,7 @@ def _frame(axes: Axes3D, points: NDArray) -> float:
 def _instruments(panels: Sequence[Axes], flight: Flight) -> list:
     """Offset of the rod above, length in use below; returns the cursors."""
     above, below = panels
-    times, seat, com = _joined(flight)
+    times, seat, com = joined(flight)
     for column, (label, colour) in enumerate((("$a$", BLUE), ("$b$", ORANGE))):
         above.plot(times, 100 * (com - seat)[:, column], color=colour, lw=0.6, label=label)
     above.set_ylabel("rod's offset (cm)")
