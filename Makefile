@@ -50,8 +50,12 @@ fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
-lab: .venv/installed ## open JupyterLab on the first notebook
-	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb
+# Jupyter refuses to run as root, which one is in a container, without --allow-root. In a container, with its port
+# published: make lab LAB='--ip=0.0.0.0 --no-browser'
+lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyter: make lab LAB='...')
+	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb \
+	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
+	    $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
@@ -80,9 +84,10 @@ latex: ## check for the LaTeX that the report needs, and say what to install
 	    exit 1; \
 	fi
 
-lint: .venv/installed ## check style, format and stripped notebooks
+lint: .venv/installed ## check style, format, types and stripped notebooks
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m mypy
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
 
 audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
@@ -92,6 +97,8 @@ audit: .venv-audit/installed ## ask the database of Python's advisories about ev
 clean: ## remove what was made; data/ and .venv stay
 	rm -rf .make figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
+
+LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}}
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
 # last, so an interrupted step starts afresh.
@@ -105,6 +112,8 @@ clean: ## remove what was made; data/ and .venv stay
 
 .venv/installed: .venv/locked pyproject.toml
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@mkdir -p .venv/share/jupyter/lab/settings
+	@echo '$(LAB_SETTINGS)' > .venv/share/jupyter/lab/settings/overrides.json
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
 	@touch $@

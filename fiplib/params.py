@@ -232,6 +232,7 @@ class Simulation:
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
 
 
+@dataclass(frozen=True)
 class Groups:
     """The base of a frozen dataclass whose fields are groups of parameters, dataclasses themselves.
 
@@ -250,7 +251,7 @@ class Groups:
         for name, value in changes.items():
             group, _, key = name.partition("__")
             if key not in getattr(getattr(self, group, None), "__dataclass_fields__", ()):
-                known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
+                known = [f"{name}__{key}" for name, keys in self.to_dict(complete=True).items() for key in keys]
                 raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
             groups.setdefault(group, {})[key] = _checked(f"{group}.{key}", value, getattr(self, group), key)
         changed = {group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
@@ -294,7 +295,7 @@ class Groups:
         """
         own = {group: fields for group, fields in values.items() if group not in cls.ELSEWHERE}
         for group in dataclasses.fields(cls):
-            older = {f.name: f.metadata["before"] for f in dataclasses.fields(group.type)}
+            older = {f.name: f.metadata["before"] for f in dataclasses.fields(getattr(cls, group.name))}
             if group.name in own:
                 own[group.name] = {k: v for k, v in older.items() if v is not None} | own[group.name]
         return cls().replace(

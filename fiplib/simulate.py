@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,7 +70,7 @@ class Scenario:
             "scenario": self.name,
             "description": self.description,
             "seed": self.seed,
-            "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
+            "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(cast(Any, self.reference))},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
             "params": self.params.to_dict(),
@@ -86,7 +86,7 @@ class Plant:
         lean: (a, b) in m at the start.
     """
 
-    def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
+    def __init__(self, params: Params, position: ArrayLike, lean: Iterable[float] = (0.0, 0.0)) -> None:
         from fiplib.kernels import poses, vehicle
 
         simulation, self._about = params.simulation, vehicle.plant_constants(params)
@@ -108,7 +108,7 @@ class Plant:
         self._schedule = np.zeros((self.substeps, 4))
         self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
 
-    def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
+    def command(self, body_rate: Iterable[float], thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
 
         In real time ``at`` says the substep at which it acts instead, counted from the start.
@@ -180,7 +180,7 @@ class SimulatedVehicle:
     ``vehicle`` makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
 
-    def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
+    def __init__(self, scenario: Scenario, vehicle: Callable[..., Plant] = Plant) -> None:
         self._params, self.rate = scenario.params, scenario.params.piloting.mocap_rate
         self._rng = np.random.default_rng(scenario.seed)
         start = scenario.reference.at(np.zeros(1))[0]
