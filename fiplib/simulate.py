@@ -20,6 +20,7 @@ from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
+from fiplib.kernels.disturbance import Disturbance
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
 from fiplib.pilot import Pilot, estimator_of
@@ -116,7 +117,7 @@ class Plant:
         self._commands.append((self._substep + self.delay if at is None else at, np.array([*body_rate, thrust])))
 
     def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
+        """One frame further, with a constant force (3,) in N on the rod's COM, or a load of ``Disturbance``."""
         for row in range(self.substeps):
             while self._commands and self._commands[0][0] <= self._substep + row:
                 self._held = self._commands.popleft()[1]
@@ -189,6 +190,7 @@ class SimulatedVehicle:
         # the seat is where the pilot takes it to be at the trajectory's height
         self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height - mistaken), lean)
         self.pushes = PushSchedule(scenario.pushes, self.rate)
+        self.disturbance = Disturbance(self._params, scenario.seed)
         self._frames = 0
         self.flown: int | None = None
         """Frames since it was first commanded; ``None`` before."""
@@ -219,7 +221,7 @@ class SimulatedVehicle:
         if self.flown is None or self.landed:
             return None
         force, begun = self.pushes.at(self.flown)
-        self.plant.advance(force)
+        self.plant.advance(self.disturbance.load(force))
         self.flown += 1
         return begun
 

@@ -14,6 +14,8 @@ from fiplib.mpc import Solution, Status
 from fiplib.params import STATES, Params
 
 CONTROLLERS = {
+    "lqr": "fiplib.controllers.lqr:LQR",
+    "lqr_ga": "fiplib.controllers.lqr_ga:GATunedLQR",
     "mpc": "fiplib.mpc:MPC",
 }
 """The class of every controller by name, as ``module:class``."""
