@@ -24,7 +24,7 @@ from fiplib.params import A_DOT, B_DOT, NANO, X_DOT, Y_DOT, A, B, Params, X, Y
 from fiplib.pilot import Pilot, Tick
 from fiplib.recording import EPOCH, Flight, MemoryRecorder
 from fiplib.references import Circle, Hover, Reference
-from fiplib.simulate import LengthUpdates, Push, PushSchedule, Scenario, SimulatedVehicle, frames
+from fiplib.simulate import LengthUpdates, Push, PushSchedule, Scenario, SimulatedEstimator, SimulatedVehicle, frames
 
 LONGEST = 600.0
 """Seconds after which a flight by hand ends: its recording takes some 50 MB by then."""
@@ -261,3 +261,22 @@ class HandFlight:
 
     def _controller(self) -> Controller:
         return self._own(self.params) if self._own else controller_of(self.params)
+
+
+def flown(
+    scenario: Scenario,
+    controller: Callable[[Params], Controller] = controller_of,
+    estimate: Callable[..., Estimate] | None = None,
+) -> Flight:
+    """Fly a scenario as ``simulate.fly`` does, with a controller or an estimator that is in no registry.
+
+    ``controller`` makes it of the parameters; ``estimate`` (window, params, rng) -> Estimate takes the windows of the
+    estimator that the parameters name.
+    """
+    params, tape = scenario.params, MemoryRecorder()
+    vehicle, pilot = SimulatedVehicle(scenario), OpenPilot(params, scenario.reference, controller(params))
+    estimator = SimulatedEstimator(params, scenario.seed, estimate)
+    lengths = LengthUpdates(scenario, estimator, lambda _, *answer: pilot.receive_estimate(*answer), tape)
+    for _ in frames(scenario, vehicle, pilot, lengths, tape):
+        pass
+    return tape.flight(scenario.name, scenario.metadata())
