@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test fuzz notebooks lab book bags sweep bench paper latex lint audit clean
+.PHONY: help figures test fuzz notebooks lab book film bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -59,6 +59,9 @@ lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyte
 
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
+
+film: .venv/installed ## make the film of the README from a recorded flight, docs/static/film.webp
+	$(PY) -m fiplib.teaching.film data/estimate-1.4 docs/static/film.webp
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	$(PY) -m fiplib.reproduction.stored $(foreach name,$(BAGS),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)

@@ -10,15 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiplib.dynamics import z_axis
 from fiplib.params import Params
+from fiplib.teaching.lean import ENLARGED, upright
 
 LOOPBACK = "127.0.0.1"
 """The only address served: the view is for the person at this machine."""
 
 BLUE, ORANGE, GREEN, BLACK, GREY = (0, 114, 178), (213, 94, 0), (0, 158, 115), (30, 30, 30), (150, 150, 150)
 """The colours of Okabe and Ito."""
-
-ENLARGED = 5.0
-"""How many times the lean of the rod and the tilt of the vehicle are enlarged in the second picture."""
 
 TRAIL = 60
 """Points of the track that stay visible."""
@@ -40,23 +38,6 @@ def open_server(label: str) -> viser.ViserServer:
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BLUE)
     server.initial_camera.position, server.initial_camera.look_at = (0.7, -2.0, 1.9), (0.0, 0.0, 1.55)
     return server
-
-
-def upright(axis: ArrayLike, enlarged: float = 1.0) -> tuple[float, float, float, float]:
-    """Return the quaternion (w, x, y, z) that turns z into a unit vector (3,), its lean ``enlarged`` by a factor.
-
-    The turn is about a horizontal axis. An enlarged lean of the sine ``enlarged * sin`` stops at 75 degrees.
-    """
-    x, y, z = np.asarray(axis, dtype=float)
-    across = np.array([x, y]) * enlarged
-    size = float(np.hypot(*across))
-    if enlarged != 1.0 and size > 0.0:
-        most = np.sin(np.radians(75.0))
-        across *= min(1.0, most / size)
-        z = float(np.sqrt(1.0 - across @ across))
-    w = 1.0 + z
-    norm = np.sqrt(w * w + across @ across)
-    return float(w / norm), float(-across[1] / norm), float(across[0] / norm), 0.0
 
 
 class Scene:
@@ -105,12 +86,11 @@ class Scene:
         """
         seat, x, y, z, w = np.asarray(seat, dtype=float), *map(float, attitude)
         up, below = np.array(z_axis(x, y, z, w)), self._params.vehicle.seat_height
-        turns = (w, x, y, z), upright(up, ENLARGED)
+        turns = (x, y, z, w), upright(up, ENLARGED)
         for vehicle, stick, turn, lean in zip(self._vehicles, self._rods, turns, (1.0, ENLARGED), strict=True):
-            # the enlarged vehicle keeps the seat, where its rod stands
-            axis = up if lean == 1.0 else np.array(z_axis(*turn[1:], turn[0]))
-            vehicle.wxyz, vehicle.position = turn, seat - below * axis
-            stick.wxyz, stick.position = upright(rod, lean), seat
+            # both vehicles are below the seat, on which both rods stand
+            vehicle.wxyz, vehicle.position = _scalar_first(turn), seat - below * np.array(z_axis(*turn))
+            stick.wxyz, stick.position = _scalar_first(upright(rod, lean)), seat
         self._target.position = np.asarray(target, dtype=float)
 
     def extend_track(self, seat: ArrayLike) -> None:
@@ -134,3 +114,8 @@ class Scene:
         if stand > 0.0:
             self._scene.add_cylinder(f"{name}/stand", 0.004, stand, GREY, opacity=opacity, position=(0, 0, stand / 2))
         return frame
+
+
+def _scalar_first(quaternion: tuple[float, ...]) -> tuple[float, float, float, float]:
+    x, y, z, w = quaternion
+    return w, x, y, z

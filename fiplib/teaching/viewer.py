@@ -129,7 +129,7 @@ class Viewer:
         self._status = gui.add_markdown("")
         with gui.add_folder("Push the rod"):
             self._impulse = gui.add_slider(
-                "impulse (mN s)", 1.0, 15.0, 0.5, 5.0, hint="on its centre of mass, in 0.05 s"
+                "impulse (mN s)", 1.0, 40.0, 0.5, 5.0, hint="on its centre of mass, in 0.05 s"
             )
             directions = gui.add_button_group("direction", tuple(PUSHES))
             directions.on_click(lambda event: self._later(lambda: self._push(*PUSHES[directions.value][1:])))
