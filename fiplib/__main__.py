@@ -34,10 +34,7 @@ COMMANDS = {
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
-    "view": (
-        "fiplib.teaching.viewer",
-        "fly the simulated vehicle in a browser; or write a flight as a page that plays",
-    ),
+    "view": ("fiplib.teaching.viewer", "fly the simulated vehicle in a browser, or make a flight a page that plays"),
     "firmware": ("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
 }
 """Module of each subcommand, and its line in ``fip --help``."""

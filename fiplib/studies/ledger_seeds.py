@@ -142,7 +142,11 @@ class Readings:
 
 
 def table5_seeds(rows: Rows) -> Table:
-    """Table 5: every row of the ledger that one flight decides, over many seeds: is it a rule, or one lucky flight?"""
+    """Table 5: every row of the ledger that is measured on a flight, over 20 simulated flights with other noise.
+
+    Mean, standard deviation and extremes over the flights that have the number; the last column counts the flights in
+    which the row holds, and a flight that falls does not count as holding.
+    """
     default = [row for row in rows if row["variant"] == "default"]
     lines = []
     for scenario, columns in ROWS.items():
@@ -158,7 +162,11 @@ def table5_seeds(rows: Rows) -> Table:
 
 
 def table6_readings(default: Rows, readings: Rows) -> Table:
-    """Table 6: the length that the estimator's flights come to under other readings of the paper, and its remedy."""
+    """Table 6: the length that the estimator's flights come to under other variants of the paper, and its remedy.
+
+    Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 20 flights of the default, 5 of
+    each other variant; mean, standard deviation and RMS error of the length reached.
+    """
     lines = []
     for variant in ("default", *dict.fromkeys(row["variant"] for row in readings)):
         for scenario in STARTS:
