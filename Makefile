@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test fuzz notebooks lab book pdf bags sweep bench paper latex lint audit clean
+.PHONY: help figures test fuzz notebooks lab book pdf film bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -58,6 +58,9 @@ lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyte
 
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
+
+film: .venv/installed ## make the film of the README from a recorded flight, docs/static/film.webp
+	$(PY) -m fiplib.teaching.film data/estimate-1.4 docs/static/film.webp
 
 pdf: .venv/installed ## print the book as one PDF, docs/build/fip.pdf (needs chromium)
 	@$(PY) docs/book.py --pdf
