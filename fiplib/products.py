@@ -6,7 +6,6 @@ Makefile derives its lists from here. Modules are imported when something of the
 
 import argparse
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +63,12 @@ PRODUCTS = {
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
     "table16-ablation": Product("fiplib.studies.ablation:table16_ablation", studies=("ablation",)),
+    "table21-sensitivity": Product(
+        "fiplib.reproduction.ledger:table21_sensitivity",
+        bags=("push-hover", "circle-0.8", *_ESTIMATES, "length-jump"),
+        studies=("ledger_seeds", "length_jumps"),
+        benchmarks=("solve_times", "deadlines"),
+    ),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 
@@ -73,19 +78,15 @@ LEDGER = "claims"
 
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
-    from fiplib.reproduction.claims import CLAIMS
+    from fiplib.reproduction.claims import JUDGED
 
     return Product(
         "fiplib.reproduction.ledger:evaluate",
-        bags=_united(claim.bags for claim in CLAIMS),
-        studies=_united([*(claim.studies for claim in CLAIMS), studies.FACTS]),
-        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+        bags=JUDGED.bags,
+        studies=tuple(dict.fromkeys((*JUDGED.studies, *studies.FACTS))),
+        benchmarks=JUDGED.benchmarks,
         parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
-
-
-def _united(groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for group in groups for name in group))
 
 
 def make(name: str, data: Path = Path("data")) -> "Figure | Table":
