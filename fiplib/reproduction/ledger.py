@@ -129,7 +129,7 @@ def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
     origins = sorted(studied | {source.metadata["origin"] for source in sources if isinstance(source, Flight)})
     limits = {}
     if found.values:
-        digits = 2 if claim.late is None else 4
+        digits = 2 if counts[1].flights < 1000 else 4
         limits = {name: f"{getattr(counts[1], name):.{digits}f}" for name in ("low", "high")}
     return _row(
         claim,

@@ -8,8 +8,8 @@ claim
 - *fails* if the upper limit is below 1/2: as a rule they do not,
 - is *undecided* otherwise, with fewer flights, or where the answer hangs on a choice that the paper does not print.
 
-Where a claim speaks of each of many events (a control tick), 1/2 is too little to ask; the claim then names the share
-that it needs. A recorded flight illustrates a claim; it decides none.
+Where a claim speaks of each of many events (a control tick, a change below a limit), 1/2 is too little to ask; the
+claim then names the share that it needs. A recorded flight illustrates a claim; it decides none.
 
 Only claims of the kind *tested* have a verdict. A number to which one of our free choices was tuned is *fitted*: that
 it agrees says nothing. What needs the vehicle is *not testable* here.

@@ -36,7 +36,7 @@ def seeds(**changed: dict[str, float]) -> list[dict]:
     """Rows of ``ledger_seeds``, all alike but for changes by variant ("default=...", "y_heavy=...")."""
     rows = []
     for case in ledger_seeds.cases():
-        fallen = case["variant"] in ("standing", "standing in steps")
+        fallen = str(case["variant"]).startswith("standing")
         row = {**case, "survived": float(not fallen), "flown": 26.0, **VALUES}
         rows.append(row | changed.get(case["variant"].replace(" ", "_"), {}))
     return rows
@@ -62,7 +62,7 @@ def verdict_of(id: str, *sources) -> str:
         ("G4.late", [0.1, -0.3], [0.11]),
         ("G5", [0.89], [0.91, 1.1]),
         ("G5.y", [0.76, 1.24], [0.7, 1.3]),
-        ("G6.rates", [1.26], [1.24]),
+        ("G6.short", [1.26], [1.24]),
         ("G7", [0.051], [0.05]),
         ("G8", [1.26], [1.24]),
         ("M1", [0.76, 1.24], [0.7, 1.3]),
@@ -186,6 +186,7 @@ def test_changes_that_are_survived_are_counted_flight_by_flight():
     assert found.values == [1, 1, 1, 0, 0, 0]  # those that stay; of those of 2 s, all survive
     assert "6 of 6 one of 2 s" in found.note and "+0.4 m (uniform)" in found.note
     assert found.recorded == pytest.approx(0.6)
+    assert BY_ID["G6.safe"].needed() == 0.95, "a limit speaks of each change below it"
     assert math.isnan(found.ours), "no change below the smallest fatal one was flown"
 
 
@@ -196,7 +197,19 @@ def test_a_change_is_judged_by_its_outlier_and_not_by_the_length_that_stays():
     found = ledger.judged(BY_ID["G6.fatal"], [falling, seeds()])
     assert (found.agree, found.verdict, found.facts["standing"]) == ("0", Verdict.FAILS, "40")
     assert float(found.facts["delay"]) == pytest.approx(4.0, abs=0.01)
-    assert verdict_of("G6.fatal", falling, seeds(outlier={"survived": 0.0})) == Verdict.HOLDS
+    both = seeds(outlier={"survived": 0.0}, short_outlier={"survived": 0.0})
+    assert verdict_of("G6.fatal", falling, both) == Verdict.HOLDS
+    assert verdict_of("G6.fatal", falling, seeds(outlier={"survived": 0.0})) == Verdict.UNDECIDED, "40 of 80"
+
+
+def test_commands_are_judged_for_a_longer_and_a_shorter_length_apart():
+    rows = seeds(outlier={"command_ratio": 1.03}, short_outlier={"command_ratio": 2.0})
+    time = np.arange(26 * 120) / 120
+    told = [(0.0, 1.0), (16.0, 1.85)]
+    steady = flight(26, lengths=told, rates=np.where(time < 16, 0.3, 0.36))
+    assert verdict_of("G6.long", steady, rows) == Verdict.FAILS
+    assert verdict_of("G6.short", rows) == Verdict.HOLDS
+    assert ledger.judged(BY_ID["G6.long"], [steady, rows]).recorded == "1.20"
 
 
 def test_steps_are_judged_by_the_flights_that_fall_at_once():
