@@ -348,6 +348,7 @@ def test_the_latex_table_is_a_tabular_of_as_many_rows(judged_rows):
     for line in cells[1:]:
         plain = line.replace("$l_0$", "").replace(r"$m_p \ll m$", "").replace(r"\%", "")
         assert line.count("&") == 6 and "%" not in plain and "_" not in plain
+        assert ("$a$" in line) == ("$b$" in line), "an article, taken for the offset"
 
 
 def test_the_headline_is_a_markdown_table_of_tested_rows(judged_rows):
