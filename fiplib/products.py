@@ -1,17 +1,19 @@
-"""The registry: every figure, every table and the ledger, each with what it is made from; ``fip figures`` makes them.
+"""The registry: every figure and table, the page of the paper's figures, the ledger, each with what it is made from.
 
-A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``. The
-Makefile derives its lists from here. Modules are imported when something of theirs is made.
+A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``; the
+function's docstring is its caption. The Makefile derives its lists from here. Modules are imported when something of
+theirs is made.
 """
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fiplib import studies
 from fiplib.params import FipError
-from fiplib.reproduction import making
+from fiplib.reproduction import gallery, making
 from fiplib.reproduction.sources import Product
 from fiplib.studies import STUDIES
 
@@ -22,18 +24,25 @@ if TYPE_CHECKING:
 
 
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
+_SPREAD = ("spread",)
 
 PRODUCTS = {
     "fig1-flight": Product("fiplib.reproduction.figures:fig1_flight", bags=("circle-0.8",)),
     "fig2-vehicle": Product("fiplib.reproduction.figures:fig2_vehicle"),
     "fig3-pushes": Product("fiplib.reproduction.figures:fig3_pushes", bags=("push-hover",)),
     "fig4-circle": Product("fiplib.reproduction.figures:fig4_circle", bags=("circle-0.8",)),
-    "fig5-estimation": Product("fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",)),
-    "fig6-convergence": Product("fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES),
+    "fig5-estimation": Product(
+        "fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",), studies=_SPREAD, behind=_SPREAD
+    ),
+    "fig6-convergence": Product(
+        "fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES, studies=_SPREAD, behind=_SPREAD
+    ),
     "fig7-survival": Product("fiplib.studies.survival:fig7_survival", studies=("survival",)),
     "fig8-landscapes": Product("fiplib.studies.landscapes:fig8_landscapes", studies=("landscape_curves",)),
     "fig9-estimators": Product("fiplib.studies.estimators:fig9_estimators", studies=("estimators",)),
-    "fig10-intervals": Product("fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",)),
+    "fig10-intervals": Product(
+        "fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",), studies=_SPREAD, behind=_SPREAD
+    ),
     "fig11-handover": Product("fiplib.studies.handover:fig11_handover", studies=("handover",)),
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
@@ -45,6 +54,7 @@ PRODUCTS = {
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
+    "fig21-field": Product("fiplib.studies.field:fig21_field", studies=("field",)),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -63,6 +73,9 @@ PRODUCTS = {
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
     "table16-ablation": Product("fiplib.studies.ablation:table16_ablation", studies=("ablation",)),
+    "table18-field": Product(
+        "fiplib.studies.field:table18_field", studies=("field",), benchmarks=("controller_ticks",)
+    ),
     "table21-sensitivity": Product(
         "fiplib.reproduction.ledger:table21_sensitivity",
         bags=("push-hover", "circle-0.8", *_ESTIMATES, "length-jump"),
@@ -76,6 +89,22 @@ LEDGER = "claims"
 """The name of the ledger among the products."""
 
 
+GALLERY = "gallery"
+"""The name of the page that shows the paper's figures."""
+
+
+def page() -> Product:
+    """The page of the paper's figures: made from what these are made from."""
+    shown = [PRODUCTS[name] for name in gallery.NAMES]
+    return Product(
+        "fiplib.reproduction.gallery:page",
+        bags=_united(product.bags for product in shown),
+        studies=_united(product.studies for product in shown),
+        parts=("fiplib.reproduction.gallery:write", *(product.address for product in shown)),
+        behind=_SPREAD,
+    )
+
+
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
     from fiplib.reproduction.claims import JUDGED
@@ -83,10 +112,14 @@ def ledger() -> Product:
     return Product(
         "fiplib.reproduction.ledger:evaluate",
         bags=JUDGED.bags,
-        studies=tuple(dict.fromkeys((*JUDGED.studies, *studies.FACTS))),
+        studies=_united((JUDGED.studies, studies.FACTS)),
         benchmarks=JUDGED.benchmarks,
         parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
+
+
+def _united(groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for group in groups for name in group))
 
 
 def make(name: str, data: Path = Path("data")) -> "Figure | Table":
@@ -100,9 +133,25 @@ def make(name: str, data: Path = Path("data")) -> "Figure | Table":
     return making.make(PRODUCTS[name], data, studies.check)
 
 
+def caption(name: str) -> str:
+    """Return the caption of a figure or table, plain text without its number: the docstring of its function.
+
+    Raises FipError: no such name.
+    """
+    if name not in PRODUCTS:
+        raise FipError(f"no figure {name!r}; there are {', '.join(PRODUCTS)}")
+    return making.caption(PRODUCTS[name])
+
+
 def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
     """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
     return making.write(name, PRODUCTS[name], made, folder)
+
+
+def write_gallery(data: Path, folder: Path) -> list[Path]:
+    """Write the page of the paper's figures and its small images; the same input gives the same bytes."""
+    figures = {name: make(name, data) for name in gallery.NAMES}
+    return gallery.write(figures, gallery.page(PRODUCTS, {name: caption(name) for name in figures}), folder)
 
 
 def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
@@ -140,9 +189,9 @@ def run(options: argparse.Namespace) -> int:
     Raises FipError: no such product, or the only one cannot be made.
     """
     if options.make:
-        print(making.makefile(PRODUCTS, {LEDGER: ledger()}), end="")
+        print(making.makefile(PRODUCTS, {GALLERY: page(), LEDGER: ledger()}), end="")
         return 0
-    everything = PRODUCTS | {LEDGER: ledger()}
+    everything = PRODUCTS | {GALLERY: page(), LEDGER: ledger()}
     if options.list:
         for name, product in everything.items():
             print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
@@ -154,6 +203,8 @@ def run(options: argparse.Namespace) -> int:
         try:
             if name == LEDGER:
                 paths = write_ledger(options.data, options.output, options.generated)
+            elif name == GALLERY:
+                paths = write_gallery(options.data, options.output)
             else:
                 paths = write(name, make(name, options.data), options.output)
             print("wrote", *paths, flush=True)

@@ -15,7 +15,8 @@ from fiplib.params import STATES, X, Y
 class Reference(Protocol):
     """A trajectory: ``height`` in m and ``at(times)`` in s since the first step -> states (n, 10)."""
 
-    height: float
+    @property
+    def height(self) -> float: ...
 
     def at(self, times: NDArray) -> NDArray: ...
 

@@ -42,13 +42,15 @@ STUDIES = {
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
     "step_errors": "fiplib.studies.step_errors",
+    "spread": "fiplib.studies.spread",
+    "field": "fiplib.studies.field",
 }
 """Address of each study by name, see ``load``."""
 
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 

@@ -117,10 +117,12 @@ class _Compiled:
         params, at, count = scenario.params, np.array(times.ticks), len(times.now)
         simulated = SimulatedVehicle(scenario)
         plant, arrival = simulated.plant, np.array(times.now)
-        forces = np.zeros((count, 3))
+        disturbance = simulated.disturbance
+        forces = np.zeros((count, disturbance.size))
         self.pushes: list[Event] = []
-        for index in range(count) if scenario.pushes else ():
-            forces[index], push = simulated.pushes.at(index)
+        for index in range(count) if scenario.pushes or disturbance.acts else ():
+            force, push = simulated.pushes.at(index)
+            forces[index] = disturbance.load(force)
             if push:
                 self.pushes.append(push.event(times.now[index]))
         self.ticks = np.full(count, -1)

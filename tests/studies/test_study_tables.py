@@ -48,7 +48,7 @@ def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_tol
     assert list(dict.fromkeys(row[0] for row in table.rows)) == list(handover.LABELS.values())
     assert [row[1] for row in table.rows] == [*list(handover.RODS.values()) * 4, handover.RODS["expected"]]
     assert table.rows[0][4:8] == ("--",) * 4
-    assert table.rows[3][1:6] == ("0.5 to 1.5", "4", "3", "100 (29 to 100)", "100")
+    assert table.rows[3][1:6] == ("0.5 to 1.5", "4", "3", "100 (29 to 100)", "100 (29 to 100)")
 
 
 def seeds_row(scenario: str, survived: int = 1, **values: float) -> dict:
@@ -117,6 +117,16 @@ def test_the_rates_table_says_what_is_measured_and_what_extrapolated():
     assert lines[2] == ("100", "200", "2000", "100.00", "extrapolated: 1.4 h for a million")
 
 
+def test_an_interval_of_a_pooled_error_comes_from_drawing_whole_flights():
+    rows = [{"n_ga": 3, "rms_ga": 0.01, "bound_ga": 0.002}, {"n_ga": 1, "rms_ga": 0.03, "bound_ga": 0.002}]
+    value, low, high = estimators.ratio(rows, "ga")
+    assert value == pytest.approx(math.sqrt((3 * 0.01**2 + 0.03**2) / 4) / 0.002)
+    # of two flights either is drawn twice in a quarter of all draws
+    assert (low, high) == pytest.approx((5.0, 15.0))
+    # no interval of zero width where all windows count: Wilson's, n / (n + z^2)
+    assert estimators.interval([4, 4], [4, 4]) == pytest.approx((1.0, 8 / (8 + 1.959964**2), 1.0))
+
+
 def imperfect_row(name: str, **values: float) -> dict:
     columns = {"n": 6, "refused": 0, "bias": 0.0, "rms": 0.004, "covered": 6}
     estimators = ("ga", "poses")
@@ -133,8 +143,9 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
     rows = [imperfect_row(name, **(refused if name == "all of them" else half)) for name in IMPERFECTIONS]
     lines = {row[0]: row[1:] for row in imperfections.table11_imperfections(rows).rows}
     assert next(iter(lines)) == "none" and len(lines) == len(IMPERFECTIONS)
-    assert lines["none"] == ("4", "50", "4.0", "67")
-    assert lines["all of them"] == ("4", "0", "--", "--")
+    # one flight, which is all that a bootstrap can draw
+    assert lines["none"] == ("4 (4 to 4)", "50", "4.0 (4.0 to 4.0)", "67 (67 to 67)")
+    assert lines["all of them"] == ("4 (4 to 4)", "0", "--", "--")
     found = imperfections.facts(rows)
     assert found["all", "poses", "answered"] == "0"
     assert ("all", "poses", "rms") not in found
@@ -157,7 +168,7 @@ def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share(
     lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
     assert len(lines) == len(poses.CONDITIONS)
     # of two flights the bootstrap draws either twice in half of all draws
-    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0 (6.0 to 6.0)", "5.0", "88 (75 to 100)", "1.20")
     assert lines["noise doubled"][-1] == "--"
     assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
     found = poses.facts(rows)
