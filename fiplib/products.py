@@ -79,6 +79,12 @@ PRODUCTS = {
         "fiplib.studies.flying_pendulum:table19_flying_pendulum", studies=("flying_pendulum",)
     ),
     "table20-excitation": Product("fiplib.studies.excitation:table20_excitation", studies=("excitation",)),
+    "table21-sensitivity": Product(
+        "fiplib.reproduction.ledger:table21_sensitivity",
+        bags=("push-hover", "circle-0.8", *_ESTIMATES, "length-jump"),
+        studies=("ledger_seeds", "length_jumps"),
+        benchmarks=("solve_times", "deadlines"),
+    ),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 
@@ -104,13 +110,13 @@ def page() -> Product:
 
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
-    from fiplib.reproduction.claims import CLAIMS
+    from fiplib.reproduction.claims import JUDGED
 
     return Product(
         "fiplib.reproduction.ledger:evaluate",
-        bags=_united(claim.bags for claim in CLAIMS),
-        studies=_united([*(claim.studies for claim in CLAIMS), studies.FACTS]),
-        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+        bags=JUDGED.bags,
+        studies=_united((JUDGED.studies, studies.FACTS)),
+        benchmarks=JUDGED.benchmarks,
         parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
 
