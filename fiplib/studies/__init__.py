@@ -41,6 +41,7 @@ STUDIES = {
     "poses": "fiplib.studies.poses",
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
+    "choices": "fiplib.studies.choices",
     "step_errors": "fiplib.studies.step_errors",
 }
 """Address of each study by name, see ``load``."""
