@@ -46,6 +46,9 @@ PRODUCTS = {
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
+    "fig20-choices": Product(
+        "fiplib.studies.choices:fig20_choices", studies=("choices", "choices_flown", "choices_exploring")
+    ),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -64,6 +67,7 @@ PRODUCTS = {
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
     "table16-ablation": Product("fiplib.studies.ablation:table16_ablation", studies=("ablation",)),
+    "table17-choices": Product("fiplib.studies.choices:table17_choices", studies=("choices",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 

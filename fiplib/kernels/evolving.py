@@ -53,8 +53,8 @@ def evolve(
     Args:
         codes: the first population; the last one is left in it.
         values: fitness (G,) at known lengths.
-        first, weights: (C,), (C, 4): fitness of code c is sum_k weights[c, k] values[first[c] + k], k from 0 to 3; codes
-            from C on are infeasible.
+        first, weights: (C,), (C, 4): fitness of code c is sum_k weights[c, k] values[first[c] + k], k from 0 to 3;
+            codes from C on are infeasible.
         bits: of a chromosome.
         generations: how many populations are judged, the first one included.
         elites: how many candidates pass unchanged to the next.

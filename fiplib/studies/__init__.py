@@ -42,6 +42,8 @@ STUDIES = {
     "seat": "fiplib.studies.seat",
     "observers": "fiplib.studies.observers",
     "choices": "fiplib.studies.choices",
+    "choices_flown": "fiplib.studies.choices_checks:Flown",
+    "choices_exploring": "fiplib.studies.choices_checks:Exploring",
     "step_errors": "fiplib.studies.step_errors",
 }
 """Address of each study by name, see ``load``."""
@@ -50,6 +52,7 @@ STUDIES = {
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
     *("seat", "poses", "observers", "ablation", "step_errors"),
+    *("choices", "choices_flown", "choices_exploring"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 

@@ -39,7 +39,7 @@ GRID = 81
 (a test)."""
 
 TRACKED = {"seat": "seat", "frame": "frame"}
-"""The vehicle's tracked point; the pilot takes it to be the seat, as the paper's model has no height between the two."""
+"""The vehicle's tracked point; the pilot takes it to be the seat: the paper's model has no height between the two."""
 
 NOISES = ("calibrated", "identity")
 """Q_e and R_e: measured in a simulated flight, or both unit matrices, what a paper that prints neither suggests."""
@@ -91,7 +91,7 @@ def windows_of(flight: Flight, params: Params) -> tuple[NDArray, list[Window]]:
 
 @cache
 def recorded(tracked: str, motion: str) -> tuple[NDArray, list[list[Window]]]:
-    """The windows of a flight for each of ``SEEDS`` and their times (W,), the same for all. RuntimeError after a fall."""
+    """Times (W,) of windows, the same for all flights, and those of a flight for each seed. RuntimeError: a fall."""
     params = params_of(tracked, "paper", "calibrated", 60, 20)
     duration = LEAD + SECONDS + STEP
     scenarios = [Scenario("choices", "", duration, MOTIONS[motion], params=params, seed=95_000 + s) for s in SEEDS]
@@ -118,8 +118,8 @@ def landscapes(tracked: str, fitness: str, noise: str, motion: str) -> tuple[NDA
 
 
 class Interpolation(NamedTuple):
-    """A cubic through four neighbours on the grid, in log l: the fitness of code c of C is the sum over k from 0 to 3 of
-    ``weights[c, k]`` times that at length ``first[c]`` + k of the grid; ``weights`` (C, 4), ``first`` (C,)."""
+    """A cubic through four neighbours on the grid, in log l: the fitness of code c of C is the sum over k from 0 to 3
+    of ``weights[c, k]`` times that at length ``first[c]`` + k of the grid; ``weights`` (C, 4), ``first`` (C,)."""
 
     first: NDArray
     weights: NDArray
@@ -183,7 +183,7 @@ def phases_of(flight: int) -> list[int]:
 
 
 class Sequences(NamedTuple):
-    """Sequences of a run's answers, a row each: ``times`` (S, n) of their delivery in s from t = 0, inf beyond the last,
+    """Sequences of answers, a row each: ``times`` (S, n) of their delivery in s from t = 0, inf beyond the last,
     ``lengths`` (S, n) in m, and ``weights`` (S,), that of all sequences of a flight together 1."""
 
     times: NDArray
@@ -191,9 +191,7 @@ class Sequences(NamedTuple):
     weights: NDArray
 
 
-def sequences(
-    times: NDArray, answers: Answers, zero: float, population: str, period: float, phase: str
-) -> Sequences:
+def sequences(times: NDArray, answers: Answers, zero: float, population: str, period: float, phase: str) -> Sequences:
     """Return the sequences of answers under one choice of population, period and phase; t = 0 is at ``zero`` s."""
     flights, windows = answers.fresh.shape
     delivered = times - times[0] + (LEAD - zero) + Params().simulation.estimation_latency
@@ -224,7 +222,7 @@ def median(values: NDArray) -> NDArray:
 
 
 def used(lengths: NDArray, filter_length: int) -> NDArray:
-    """Return the lengths in use (S, n) after each answer (S, n): the printed hand-over, nan where there is no answer."""
+    """Return the lengths in use (S, n) after each answer (S, n): the printed hand-over, nan where there is none."""
     before = np.full((len(lengths), filter_length - 1), np.nan)
     padded = np.concatenate([before, lengths], axis=1)
     found = median(np.lib.stride_tricks.sliding_window_view(padded, filter_length, axis=1))
