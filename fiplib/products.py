@@ -54,6 +54,9 @@ PRODUCTS = {
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
     "fig21-field": Product("fiplib.studies.field:fig21_field", studies=("field",)),
     "fig22-excitation": Product("fiplib.studies.excitation:fig22_excitation", studies=("excitation",)),
+    "fig20-choices": Product(
+        "fiplib.studies.choices:fig20_choices", studies=("choices", "choices_flown", "choices_exploring")
+    ),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -85,6 +88,7 @@ PRODUCTS = {
         studies=("ledger_seeds", "length_jumps"),
         benchmarks=("solve_times", "deadlines"),
     ),
+    "table17-choices": Product("fiplib.studies.choices:table17_choices", studies=("choices",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 
