@@ -7,7 +7,7 @@ theirs is made.
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fiplib import studies
 from fiplib.params import FipError
@@ -157,7 +157,7 @@ def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
 
 def write_gallery(data: Path, folder: Path) -> list[Path]:
     """Write the page of the paper's figures and its small images; the same input gives the same bytes."""
-    figures = {name: make(name, data) for name in gallery.NAMES}
+    figures: dict[str, Any] = {name: make(name, data) for name in gallery.NAMES}
     return gallery.write(figures, gallery.page(PRODUCTS, {name: caption(name) for name in figures}), folder)
 
 

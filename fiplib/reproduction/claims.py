@@ -188,7 +188,14 @@ _SCHEDULE = f"'0.2 Hz', the phase of the first run and a window filled before t 
 
 
 def _flight(
-    id: str, text: str, paper: float | None, unit: str, decimals: int, measure: Callable[[Flight], float], *rest, **more
+    id: str,
+    text: str,
+    paper: float | None,
+    unit: str,
+    decimals: int,
+    measure: Callable[[Flight], float],
+    *rest: Any,
+    **more: Any,
 ) -> Claim:
     """A claim whose evidence is a number of each flight."""
     bags, remark, variant = more.pop("bags"), more.pop("remark", ""), more.pop("variant", "default")

@@ -55,7 +55,8 @@ STUDIES = {
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum", "excitation", "choices"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum", "excitation"),
+    *("choices", "choices_flown", "choices_exploring"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""
 
