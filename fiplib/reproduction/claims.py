@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from fiplib.recording import Flight
 from fiplib.reproduction import evidence, quantities
