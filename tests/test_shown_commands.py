@@ -67,6 +67,7 @@ PREPARED: dict[str, Callable[[Path], None]] = {"your-own-recording.md": prepare_
 """What a page's commands find in the folder, beside a link to ``data``."""
 
 ENDS = {
+    "fip bag length furuta.csv --arm-radius 0.062 --json": 3,  # here a cart's table, which no arm made: refused
     "fip bag length my-flight --up y --unit mm --quaternion wxyz": 3,  # the flight here has no such mistake: refused
 }
 """Exit status of the commands that do not end with 0 here, by command."""
@@ -108,6 +109,15 @@ def test_commands_of_a_page_work_in_their_order(page, tmp_path, monkeypatch, cap
         printed = capsys.readouterr()
         assert status == ENDS.get(command, 0), f"{command}\n{printed.out}\n{printed.err}"
         assert printed.out or printed.err
+
+
+def test_the_python_of_your_own_vehicle_runs(capsys):
+    page = (ROOT / "docs/your-own-vehicle.md").read_text(encoding="utf-8")
+    code = "".join(block for language, block in FENCES.findall(page) if language == "python")
+    exec(compile(code, "your-own-vehicle.md", "exec"), {})
+    *rates, growth = re.findall(r"-?\d+\.\d+", capsys.readouterr().out)
+    # 10 cm beside its place: it rolls or pitches towards it; the loop of a 0.7 m rod is stable
+    assert len(rates) == 1 and float(rates[0]) != 0.0 and float(growth) < 0.0
 
 
 def test_every_reason_is_of_a_command_that_is_shown():

@@ -26,6 +26,7 @@ BENCHMARKS = {
     "deadlines": "python benchmarks/bench_deadlines.py --save",
     "results": "make bench",
     "growth": "python -m benchmarks.growth --save",
+    "controller_ticks": "python -m benchmarks.controllers --save",
 }
 """The tables of ``benchmarks/``, each with the command that writes it."""
 
