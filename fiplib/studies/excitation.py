@@ -248,7 +248,10 @@ STYLES = {"hover": ":", "circle 0.8 m / 9 s": "-.", "designed": "-", "designed, 
 def fig22_excitation(rows: Rows) -> Figure:
     """Fig. 22: the designed trajectory, the lean that it takes, and how soon the length is known.
 
-    Bands hold 90 % of the seeds; crosses are root mean square errors over them.
+    20 simulated flights of 12 s for each trajectory, from rest, a uniform rod of 1 m on a seat of 8 cm, the length from
+    raw poses with the trusted hand-over. Bands: 90 % of the flights; below, the stated standard deviation, with crosses
+    for the RMS error over the flights and thin black lines for the Cramer-Rao bound. Grey: the lean that the design
+    allows, and the deviation that it is to reach soonest.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     panels = figure.subplot_mosaic([["path", "lean"], ["known", "known"]], height_ratios=(1.0, 1.6))
@@ -296,7 +299,11 @@ def _band(axes: Axes, times: Sequence[float], values: NDArray, factor: float, na
 
 
 def table20_excitation(rows: Rows) -> Table:
-    """Table 20: when the length is known to 20, 10 and 5 mm by trajectory, and what the trajectory asks for."""
+    """Table 20: when the length is known to 20, 10 and 5 mm by trajectory, and what the trajectory asks for.
+
+    20 simulated flights of 12 s in each line, from rest, a uniform rod of 1 m on a seat of 8 cm: mean time from which
+    on the stated standard deviation is that small, with its 95 % interval or the number of flights that come to it.
+    """
     lines = []
     for excitation, estimator in dict.fromkeys((row["excitation"], row["estimator"]) for row in cases()):
         some, cells = chosen(rows, excitation, estimator), [excitation, {"poses": "poses", "ga": "GA"}[estimator]]
