@@ -212,13 +212,11 @@ def _interval(value: float, low: float, high: float, decimals: int) -> str:
 
 
 def fig21_field(rows: Rows) -> Figure:
-    """Fig. 21: the controllers on the same plant, noise and seeds: who survives a push with a wrong length, and how
-    well.
+    """Fig. 21: the controllers on the same plant, noise and seeds: with which lengths they survive, and how well.
 
     20 simulated flights at each point, 10 of the nonlinear MPC, a uniform rod of 1 m on a seat of 8 cm. Above: the
     percentage that stays up after a push of 8 mN s in hover, by the length in use. Below: RMS rate command in hover
-    with the push, RMS error on the 0.4 m circle (8 s), and in a steady wind of 2 m/s; means with 95 % intervals. What
-    the controllers differ in is how far the length in use may be wrong and how calm they are.
+    with the push, RMS error on the 0.4 m circle (8 s), and in a steady wind of 2 m/s; means with 95 % intervals.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
