@@ -1,6 +1,6 @@
 """Which of the choices that the paper does not print give its Table 3?
 
-A row is one setting of what takes a run of the estimator: the tracked point, the fitness, the noise covariances, N_c
+A row is one setting of what takes a run of the estimator: the tracked point, the fitness, N_c
 and the number of generations. Its columns are all combinations of the rest, ``ARMS``: the window at t = 0, new or kept
 populations, period and phase of the runs, the median filter, and what is called convergence. ``choices_runs`` says how
 they are run: in 20 flights a rod of 1 m, from each of the paper's three starts.
@@ -8,7 +8,7 @@ they are run: in 20 flights a rod of 1 m, from each of the paper's three starts.
 ``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``; ``within_ARM``, how many of its
 six independent numbers lie in the central 95 % of the simulated ones: each error is that of its length, so that six
 say all that nine do.
-324 rows, SECONDS_TO_STATE.
+198 rows, SECONDS_TO_STATE.
 """
 
 import itertools
@@ -29,12 +29,17 @@ from fiplib.reproduction.tables import Facts, Table
 from fiplib.studies import choices_runs as runs
 from fiplib.studies.choices_runs import Outcome
 
-KEYS = ("tracked", "fitness", "noise", "population", "generations")
+KEYS = ("tracked", "fitness", "population", "generations")
 
-FITNESSES = tuple(name for name in kalman.READINGS if name != "paper")
+FITNESSES = (
+    *(name for name in kalman.READINGS if name != "paper"),
+    f"printed_posterior{runs.UNIT}",
+    f"printed_prior{runs.UNIT}",
+)
+"""All readings with calibrated covariances. With unit ones the others end at l_min or l_max (table 9)."""
 CANDIDATES, GENERATIONS = (12, 30, 60), (5, 20, 40)
 
-SETTINGS = (tuple(runs.TRACKED), FITNESSES, runs.NOISES, CANDIDATES, GENERATIONS)
+SETTINGS = (tuple(runs.TRACKED), FITNESSES, CANDIDATES, GENERATIONS)
 """Levels of each of ``KEYS``."""
 
 COLUMNS = (tuple(runs.WINDOWS), runs.POPULATIONS, runs.PERIODS, runs.PHASES, runs.MEDIANS, tuple(runs.DEFINITIONS))
@@ -45,9 +50,8 @@ ARMS = tuple(itertools.product(*COLUMNS))
 LEVELS = {
     "tracked": ("tracked point of the vehicle", SETTINGS[0]),
     "fitness": ("fitness", SETTINGS[1]),
-    "noise": ("noise covariances", SETTINGS[2]),
-    "population": ("number of candidates $N_c$", SETTINGS[3]),
-    "generations": ("number of generations", SETTINGS[4]),
+    "population": ("number of candidates $N_c$", SETTINGS[2]),
+    "generations": ("number of generations", SETTINGS[3]),
     "window": ("window at $t = 0$", COLUMNS[0]),
     "first": ("first population of a run", COLUMNS[1]),
     "period": ("period of the runs", COLUMNS[2]),
@@ -58,7 +62,6 @@ LEVELS = {
 """Every choice, in words, and its levels: the order of the axes of ``log_probabilities``."""
 
 WORDS = {
-    "identity": "$Q_e = R_e = I$",
     "empty": "empty",
     "hover": "filled in hover",
     "circle": "filled on the circle",
@@ -102,7 +105,7 @@ def cases() -> list[dict]:
 def run(case: dict) -> dict[str, float | int]:
     """Run the estimator of one setting in every arm: the columns of all ``ARMS``."""
     row: dict[str, float | int] = {}
-    setting = case["tracked"], case["fitness"], case["noise"], int(case["population"]), int(case["generations"])
+    setting = case["tracked"], case["fitness"], int(case["population"]), int(case["generations"])
     for arm, found in runs.every_sequence(*setting):
         for filter_length in runs.MEDIANS:
             ends = {id: runs.outcomes(found, filter_length, start) for id, start in STARTS.items()}
@@ -200,7 +203,7 @@ def word(choice: str, level: object) -> str:
     """Return a level in words."""
     if choice == "fitness":
         transition, _, score = str(level).partition("_")
-        return f"{TRANSITIONS[transition]}, {score}"
+        return f"{TRANSITIONS[transition]}, {score.replace(runs.UNIT, ', $Q_e$=$R_e$=$I$')}"
     unit = {"period": r"\,s"}.get(choice, "")
     return WORDS.get(str(level), f"{level:g}{unit}" if isinstance(level, float | int) else str(level))
 
@@ -292,7 +295,7 @@ def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
             points = np.array(
                 [
                     (row["population"] * row["generations"], *share(row, f"{remark}_{first}_0.2"))
-                    for row in seat(exploring)
+                    for row in likelihood(exploring)
                 ]
             )
             spread = np.abs(points[:, 2:] - points[:, 1:2]).T
@@ -307,9 +310,9 @@ def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
     return figure
 
 
-def seat(exploring: Rows) -> Rows:
-    """Return the rows of the seat tracked and the likelihood as fitness."""
-    return [row for row in exploring if (row["tracked"], row["fitness"]) == ("seat", "rk4_likelihood")]
+def likelihood(exploring: Rows) -> Rows:
+    """Return the rows of the likelihood as fitness."""
+    return [row for row in exploring if row["fitness"] == "rk4_likelihood"]
 
 
 def share(row: dict, column: str) -> tuple[float, float, float]:
