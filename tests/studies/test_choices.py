@@ -119,13 +119,13 @@ def test_no_answer_leaves_the_first_length_in_use():
 
 def test_a_probability_is_that_of_the_rounded_numbers():
     lengths, seconds, weights = np.full(20, 1.0), np.full(20, 12.0), np.ones(20)
-    at = study.log_probability(lengths, seconds, weights, (1.0, 12.0), (5e-4, 5e-3))
+    at = study.log_probability(lengths, seconds, weights, (1.0, 12.0), (5e-4, 5e-3), study.KERNEL)
     # 20 of 21 flights at the peak of both kernels
     peak = np.prod([2 * slack / (width * np.sqrt(2 * np.pi)) for slack, width in ((5e-4, 0.01), (5e-3, 0.25))])
     assert at == pytest.approx(np.log(20 / 21 * peak), abs=2e-3)
-    far = study.log_probability(lengths, seconds, weights, (1.5, 12.0), (5e-4, 5e-3))
+    far = study.log_probability(lengths, seconds, weights, (1.5, 12.0), (5e-4, 5e-3), study.KERNEL)
     assert far == pytest.approx(np.log(1e-3 / 1.8 * 1e-2 / 25.0 / 21), abs=1e-3)
-    never = study.log_probability(lengths, np.full(20, np.inf), weights, (1.0, 12.0), (5e-4, 5e-3))
+    never = study.log_probability(lengths, np.full(20, np.inf), weights, (1.0, 12.0), (5e-4, 5e-3), study.KERNEL)
     assert never == pytest.approx(far)
 
 
@@ -147,7 +147,8 @@ def synthetic(true: dict[str, int], size: int = 20) -> np.ndarray:
     for length, seconds in pairs:
         simulated = noise + np.array([[1.0 + length], [8.0 + seconds]])
         known[length, seconds] = sum(
-            study.log_probability(*simulated, np.ones(size), paper, (5e-4, 5e-3)) for paper in drawn.T.tolist()
+            study.log_probability(*simulated, np.ones(size), paper, (5e-4, 5e-3), study.KERNEL)
+            for paper in drawn.T.tolist()
         )
     return np.array([known[tuple(one)] for one in shift.reshape(2, -1).T.tolist()]).reshape(shape)
 
@@ -171,7 +172,9 @@ def rows(fit: np.ndarray) -> list[dict]:
     flat = fit.reshape(len(study.cases()), -1)
     names = [study.arm_name(arm) for arm in study.ARMS]
     return [
-        case | {f"fit_{n}": v for n, v in zip(names, line, strict=True)} | {f"within_{n}": 6.0 for n in names}
+        case
+        | {f"{column}_{n}": v for column in study.SENSITIVITY for n, v in zip(names, line, strict=True)}
+        | {f"within_{n}": 6.0 for n in names}
         for case, line in zip(study.cases(), flat.tolist(), strict=True)
     ]
 
