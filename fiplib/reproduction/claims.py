@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from fiplib.recording import Flight
 from fiplib.reproduction import evidence, quantities
@@ -187,14 +188,12 @@ _SEARCH = f"population, generations and whether a run starts anew are not printe
 _SCHEDULE = f"'0.2 Hz', the phase of the first run and a window filled before t = 0 are open; {_CHOICES}"
 
 
-def _flight(
-    id: str, text: str, paper: float | None, unit: str, decimals: int, measure: Callable[[Flight], float], *rest, **more
-) -> Claim:
-    """A claim whose evidence is a number of each flight."""
-    bags, remark, variant = more.pop("bags"), more.pop("remark", ""), more.pop("variant", "default")
-    gather = partial(flown, measure, bags=bags, variant=variant, remark=remark)
-    more = {"measure": measure, "bags": bags, "studies": _SEEDS} | more
-    return Claim(id, text, paper, unit, decimals, gather, *rest, **more)
+def _flight(id: str, text: str, paper: float | None, unit: str, decimals: int, *judged: Any, **more: Any) -> Claim:
+    """A claim whose evidence is a number of each flight; ``judged`` are its measure, its criterion, its tolerance."""
+    (measure, *criterion), bags = judged, more["bags"]
+    gather = partial(flown, measure, bags=bags, remark=more.pop("remark", ""))
+    more = {"measure": measure, "studies": _SEEDS} | more
+    return Claim(id, text, paper, unit, decimals, gather, *criterion, **more)
 
 
 def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
