@@ -87,8 +87,8 @@ class Claim(Sources):
     def criterion(self) -> str:
         """When a flight agrees, in words; empty where the note says it."""
         words = CRITERIA[self.agrees].format(self.tolerance)
-        needed = "" if self.late is None else f"needed of {1 - self.late:.0%}"
-        return ", ".join(filter(None, (words, needed)))
+        needed = "" if self.late is None else f"a share of {1 - self.late:.0%} is needed"
+        return "; ".join(filter(None, (words, needed)))
 
     @property
     def unprinted(self) -> bool:
