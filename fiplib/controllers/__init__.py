@@ -15,6 +15,7 @@ from fiplib.params import AXES, STATES, Params
 
 CONTROLLERS = {
     "lqr": "fiplib.controllers.lqr:LQR",
+    "lqr_circle": "fiplib.controllers.lqr_circle:CircleLQR",
     "lqr_ga": "fiplib.controllers.lqr_ga:GATunedLQR",
     "mpc": "fiplib.mpc:MPC",
     "nonlinear_mpc": "fiplib.controllers.nmpc:NonlinearMPC",

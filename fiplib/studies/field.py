@@ -190,7 +190,7 @@ def table18_field(rows: Rows, ticks: Quantities) -> Table:
         lines.append((name, *(_interval(*(factor * value for value in one), decimals) for one in found)))
     for quantile in ("p50", "p99"):
         times = (ticks.get(f"{controller}_{quantile}_us", math.nan) for controller in FIELD)
-        lines.append((f"A tick, {quantile} (us)", *(number(time, 0) for time in times)))
+        lines.append((f"A tick, {quantile} (us)", *(number(time, 0) if time == time else NONE for time in times)))
     return Table(("", *(label for label, _ in FIELD.values())), lines, "l" + "r" * len(FIELD))
 
 
