@@ -91,7 +91,7 @@ def run(case: dict) -> dict[str, float | int]:
     """Fly one case.
 
     Returns:
-        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED``); flown (s until a fall). Of flights that
+        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED`` or the end); flown (s until a fall). Of flights that
         stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until the rod stays
         within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body rates from 2 s to
         ``SETTLED``, deg/s); error (RMS distance from the reference from ``SETTLED`` on, m); sunk (largest deviation of
@@ -108,7 +108,7 @@ def run(case: dict) -> dict[str, float | int]:
     scenario = Scenario("field", "", seconds, params=params, seed=70_000 + int(case["seed"]), **scene)
     [flight] = fly_many([scenario])
     flown = seconds_flown(flight, scenario)
-    outcome = {"survived": int(flight.survived), "hovered": int(flown >= PUSHED), "flown": flown}
+    outcome = {"survived": int(flight.survived), "hovered": int(flown >= min(PUSHED, seconds)), "flown": flown}
     return outcome | (_scores(flight, scenario) if flight.survived else dict.fromkeys(SCORES, math.nan))
 
 
@@ -221,9 +221,9 @@ def fig21_field(rows: Rows) -> Figure:
             value, low, high = (factor * one for one in mean(rows, controller, flight, column))
             spread = [[value - low], [high - value]]
             axes.errorbar(value, place, xerr=spread, color=BLUE, marker="o", ms=3, elinewidth=0.8, ls="none")
+        axes.margins(x=0.1)
         axes.set(xlabel=name, ylim=(len(FIELD) - 0.5, -0.5))
         axes.set_xlim(left=0.0)
-        axes.margins(x=0.08)
         axes.grid(axis="y", lw=0.3, color=GREY, alpha=0.4)
         axes.tick_params(axis="y", length=0)
     panels[0].set_yticks(range(len(FIELD)), labels)
