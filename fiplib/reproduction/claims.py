@@ -87,8 +87,8 @@ class Claim(Sources):
     def criterion(self) -> str:
         """When a flight agrees, in words; empty where the note says it."""
         words = CRITERIA[self.agrees].format(self.tolerance)
-        needed = "" if self.late is None else f"needed of {1 - self.late:.0%}"
-        return ", ".join(filter(None, (words, needed)))
+        needed = "" if self.late is None else f"a share of {1 - self.late:.0%} is needed"
+        return "; ".join(filter(None, (words, needed)))
 
     @property
     def unprinted(self) -> bool:
@@ -188,21 +188,12 @@ _SEARCH = f"population, generations and whether a run starts anew are not printe
 _SCHEDULE = f"'0.2 Hz', the phase of the first run and a window filled before t = 0 are open; {_CHOICES}"
 
 
-def _flight(
-    id: str,
-    text: str,
-    paper: float | None,
-    unit: str,
-    decimals: int,
-    measure: Callable[[Flight], float],
-    *rest: Any,
-    **more: Any,
-) -> Claim:
-    """A claim whose evidence is a number of each flight."""
-    bags, remark, variant = more.pop("bags"), more.pop("remark", ""), more.pop("variant", "default")
-    gather = partial(flown, measure, bags=bags, variant=variant, remark=remark)
-    more = {"measure": measure, "bags": bags, "studies": _SEEDS} | more
-    return Claim(id, text, paper, unit, decimals, gather, *rest, **more)
+def _flight(id: str, text: str, paper: float | None, unit: str, decimals: int, *judged: Any, **more: Any) -> Claim:
+    """A claim whose evidence is a number of each flight; ``judged`` are its measure, its criterion, its tolerance."""
+    (measure, *criterion), bags = judged, more["bags"]
+    gather = partial(flown, measure, bags=bags, remark=more.pop("remark", ""))
+    more = {"measure": measure, "studies": _SEEDS} | more
+    return Claim(id, text, paper, unit, decimals, gather, *criterion, **more)
 
 
 def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
@@ -252,20 +243,20 @@ CLAIMS = (
           reason=_SEARCH),
     Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
           studies=_SEEDS, reason=_SEARCH),
-    _flight("G5", "Tracking in x improves once l is updated", None, "1", 2, quantities.x_tracking, smaller, LITTLE,
+    _flight("G5", "Tracking in x improves once the length is updated", None, "1", 2, quantities.x_tracking, smaller, LITTLE,
             bags=("estimate-1.4",), remark="RMS error of x on the arc flown before the first update: in later laps "
             "over in the first lap, which starts from rest. Improves: falls by more than a tenth"),
     _flight("G5.y", "Tracking in y barely improves with it", None, "1", 2, quantities.y_tracking, same, ABOUT,
             bags=("estimate-1.4",), remark="The same of y. Barely: the error keeps its size within a quarter"),
-    Claim("G6.safe", "A change of l at once up to here is survived", 0.8, "m", 2, evidence.safe_changes, yes,
+    Claim("G6.safe", "A change of length up to 0.8 m is survived", 0.8, "m", 2, evidence.safe_changes, yes,
           late=EXCEPTIONS, bags=_JUMP, studies=("length_jumps",)),
-    Claim("G6.fatal", "A change of l beyond here: instability", 0.8, "m", 2, evidence.fatal_changes, yes, bags=_JUMP,
+    Claim("G6.fatal", "A change of length beyond 0.8 m: instability", 0.8, "m", 2, evidence.fatal_changes, yes, bags=_JUMP,
           studies=_SEEDS),
     Claim("G6.long", "Beyond 0.8 m longer: commands fluctuate", None, "1", 2,
           partial(evidence.wild_commands, "outlier"), larger, ABOUT, bags=_JUMP, studies=_SEEDS),
     Claim("G6.short", "Beyond 0.8 m shorter: commands fluctuate", None, "1", 2,
           partial(evidence.wild_commands, "short outlier"), larger, ABOUT, studies=_SEEDS),
-    Claim("G6.steps", "Small steps of l would mend it", None, "1", 2, evidence.small_steps, yes,
+    Claim("G6.steps", "Small steps of the length would mend it", None, "1", 2, evidence.small_steps, yes,
           studies=("ledger_seeds", "length_jumps")),
     _flight("G7", "The estimate fluctuates rapidly", None, "m", 3, quantities.fluctuation, above, RAPID, bags=_STARTS,
             remark=f"Change from one answer to the next that one in ten exceeds. Rapid: above {RAPID:g} m",

@@ -54,14 +54,12 @@ def column(rows: Rows, name: str, variant: str, scenarios: Sequence[str]) -> lis
     return [row[name] for row in rows if row["variant"] == variant and row["scenario"] in scenarios]
 
 
-def flown(
-    measure: Callable[[Flight], float], *sources: Flight | Rows, bags: Sequence[str], variant: str, remark: Remark
-) -> Evidence:
+def flown(measure: Callable[[Flight], float], *sources: Flight | Rows, bags: Sequence[str], remark: Remark) -> Evidence:
     """A number of each flight: the column named as its function, and the function of the recorded flights (median)."""
     *flights, rows = sources
     recorded = float(np.median([measure(flight) for flight in flights]))
     note, facts = (remark, {}) if isinstance(remark, str) else remark(*flights, rows)
-    return Evidence(column(rows, measure.__name__, variant, bags), recorded, note, facts=facts)
+    return Evidence(column(rows, measure.__name__, "default", bags), recorded, note, facts=facts)
 
 
 def paired(

@@ -221,7 +221,7 @@ def explained(row: Row) -> str:
     """What stands behind a row, in sentences."""
     reason = {Kind.FITTED: "Fitted", Kind.NOT_TESTABLE: "Not testable", Kind.TESTED: "Undecided"}[Kind(row.kind)]
     words = [
-        f"A flight agrees: {row.criterion}." if row.kind == Kind.TESTED and row.criterion else "",
+        f"Criterion: {row.criterion}." if row.kind == Kind.TESTED and row.criterion else "",
         f"{reason}: {row.reason}." if row.reason else "",
         f"{row.reading}." if row.reading else "",
         f"Recorded flight: {row.recorded}." if row.recorded else "",
@@ -319,7 +319,7 @@ def table21_sensitivity(*sources: Flight | Rows | Quantities) -> Table:
             for count, one in zip(counts, verdicts(claim, counts), strict=True)
         ]
         lines.append((claim.id, claim.criterion.replace("%", r"\,\%"), f"{counts[1].flights}", *found))
-    header = ("Row", "A flight agrees", "Flights", "Half", "As stated", "Twice the tolerance")
+    header = ("Row", "Criterion of a flight", "Flights", "Half", "As stated", "Twice the tolerance")
     return Table(header, lines, "llrlll")
 
 

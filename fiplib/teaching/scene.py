@@ -27,14 +27,20 @@ def quiet() -> contextlib.redirect_stdout[io.StringIO]:
     return contextlib.redirect_stdout(io.StringIO())
 
 
+class LocalServer(viser.ViserServer):
+    """A server that never opens its tunnel to a server of others, whatever a page asks for."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Share nothing."""
+
+
 def open_server(label: str) -> viser.ViserServer:
     """Serve an empty scene on a free port of the loopback interface; the caller stops it."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port = probe.getsockname()[1]
     with quiet():
-        server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
-    # sharing sends the page through a server of others
+        server = LocalServer(host=LOOPBACK, port=port, label=label, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BLUE)
     server.initial_camera.position, server.initial_camera.look_at = (0.7, -2.0, 1.9), (0.0, 0.0, 1.55)
     return server

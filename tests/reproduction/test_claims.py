@@ -363,6 +363,12 @@ def test_the_headline_is_a_markdown_table_of_tested_rows(judged_rows):
     )
 
 
+def test_the_readme_shows_the_headline_that_the_command_prints():
+    begin, end = "<!-- headline: written by `fip claims --markdown` -->", "<!-- end of headline -->"
+    shown = (ROOT / "README.md").read_text(encoding="utf-8").partition(begin)[2].partition(end)[0]
+    assert shown.strip() == ledger.headline(ROOT / "data").strip()
+
+
 def test_the_table_of_sensitivity_has_each_tolerant_row_and_three_verdicts():
     rows = {row[0]: row[1:] for row in products.make("table21-sensitivity", ROOT / "data").rows}
     assert set(rows) == {claim.id for claim in CLAIMS if ledger.tolerant(claim)}

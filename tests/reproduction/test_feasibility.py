@@ -22,6 +22,12 @@ def test_at_rest_the_constraint_is_kept_and_too_large_an_offset_has_no_solution_
     assert terminal_error(np.array([0.0, 0.0, 0.135, 0.0, 0.0]), REST, 1.6, PARAMS) < feasibility.REACHED
 
 
+def test_the_largest_offset_that_can_be_caught_is_the_same_with_the_constraint_and_without():
+    # docs/studies.md states 11.4 cm with 1 m in use
+    caught, lost = (terminal_error(np.array([0.0, 0.0, d, 0.0, 0.0]), REST, 1.0, PARAMS) for d in (0.114, 0.1145))
+    assert caught < feasibility.REACHED and lost == math.inf
+
+
 def test_in_one_step_the_smallest_terminal_error_is_that_of_a_search_over_the_input():
     one = PARAMS.replace(control__nodes=2, control__horizon=0.2)
     problem = MPC(one).prepare(1.0)[0]
