@@ -14,7 +14,9 @@ What it leaves out: bounds, noise, large angles. Margins are those of the loop b
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import control
 import numpy as np
@@ -34,6 +36,23 @@ SLOWEST = 0.01
 
 SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
 """Factors tried on the pendulum's gains: 1 % apart, from 0.14 to 7.4."""
+
+
+class Gains(Protocol):
+    """What ``mpc.MPC.prepare`` gives of an axis, as far as it is needed here."""
+
+    @property
+    def gains(self) -> NDArray:
+        """K_k, (N, 5); the first is the one that flies."""
+        ...
+
+
+class Regulator(Protocol):
+    """The MPC, or another controller that is linear where no bound is active."""
+
+    def prepare(self, length: float) -> Sequence[Gains]:
+        """The gains of each axis for a length in use, m."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -143,7 +162,7 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     return a, b
 
 
-def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis: int = 0) -> LinearLoop:
+def closed_loop(used_length: float, params: Params, mpc: Regulator | None = None, axis: int = 0) -> LinearLoop:
     """The loop of one axis, an index into ``params.AXES``, when the MPC uses a length in m and the rod is another.
 
     ``params`` give the rod, weights, rates, delays and lags; ``mpc`` of the same weights serves for many lengths and
