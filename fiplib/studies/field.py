@@ -91,11 +91,11 @@ def run(case: dict) -> dict[str, float | int]:
     """Fly one case.
 
     Returns:
-        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED`` or the end); flown (s until a fall). Of flights that
-        stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until the rod stays
-        within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body rates from 2 s to
-        ``SETTLED``, deg/s); error (RMS distance from the reference from ``SETTLED`` on, m); sunk (largest deviation of
-        the height from 1 s on, m).
+        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED`` or the end); flown (s until a fall). Of
+        flights that stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until
+        the rod stays within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body
+        rates from 2 s to ``SETTLED``, deg/s); error (RMS distance from the reference from ``SETTLED`` on, m); sunk
+        (largest deviation of the height from 1 s on, m).
     """
     seconds, scene, changes = FLIGHTS[case["flight"]]
     params = Params().replace(
