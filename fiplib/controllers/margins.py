@@ -38,23 +38,6 @@ SHARES = tuple(math.exp(exponent / 100.0) for exponent in range(-200, 201))
 """Factors tried on the pendulum's gains: 1 % apart, from 0.14 to 7.4."""
 
 
-class Gains(Protocol):
-    """What ``mpc.MPC.prepare`` gives of an axis, as far as it is needed here."""
-
-    @property
-    def gains(self) -> NDArray:
-        """K_k, (N, 5); the first is the one that flies."""
-        ...
-
-
-class Regulator(Protocol):
-    """The MPC, or another controller that is linear where no bound is active."""
-
-    def prepare(self, length: float) -> Sequence[Gains]:
-        """The gains of each axis for a length in use, m."""
-        ...
-
-
 @dataclass(frozen=True)
 class Margins:
     """Margins of a stable loop at its input; 1, 1, 0, 0 where it is unstable.
@@ -160,6 +143,19 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     for row, share in ((1, seat), (3, -factor * seat)):
         a[row, 5], b[row, 0] = share * a[5, 5], share * b[5, 0]
     return a, b
+
+
+class Gains(Protocol):
+    """The feedback gains of one axis: K_k in the rows of ``gains``, (N, 5), of which the loop uses the first."""
+
+    @property
+    def gains(self) -> NDArray: ...
+
+
+class Regulator(Protocol):
+    """What gives the gains of both axes for a length in use: the MPC, or another linear controller."""
+
+    def prepare(self, length: float) -> Sequence[Gains]: ...
 
 
 def closed_loop(used_length: float, params: Params, mpc: Regulator | None = None, axis: int = 0) -> LinearLoop:

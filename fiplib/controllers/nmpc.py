@@ -115,7 +115,7 @@ class NonlinearMPC:
     def _improved(self, plan: NDArray, state: NDArray, reference: ArrayLike, length: float) -> NDArray | None:
         """The plan one step on; ``None`` if it leaves the model's domain (a rod that lies down) or the solver fails."""
         hessian, gradient, steps, gap = self._step(plan, np.transpose(reference), length)
-        if not np.isfinite(np.array(gap)).all():
+        if not (np.isfinite(np.array(gap)).all() and np.isfinite(state).all()):
             return None
         low, high = -self._largest - plan, self._largest - plan
         low[:STATE] = high[:STATE] = state - plan[:STATE]
