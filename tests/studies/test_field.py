@@ -8,7 +8,7 @@ from fiplib.controllers import CONTROLLERS
 from fiplib.studies import field as study
 
 ROW = {
-    "survived": 1, "hovered": 1, "flown": 12.0, "lean": 0.05, "settled": 2.0, "rate": 26.0, "error": 0.1, "sunk": 0.01,
+    "survived": 1, "hovered": 1, "flown": 12.0, "lean": 0.05, "settled": 2.0, "rate": 26.0, "error": 0.1, "farthest": 0.2, "sunk": 0.01,
 }  # fmt: skip
 
 
