@@ -95,8 +95,8 @@ def run(case: dict) -> dict[str, float | int]:
         survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED`` or the end); flown (s until a fall). Of
         flights that stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until
         the rod stays within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body
-        rates from 2 s to ``SETTLED``, deg/s); error (RMS distance from the reference, see ``FLIGHTS``, m); farthest
-        (largest distance from it, m); sunk (largest deviation of the height from 1 s on, m).
+        rates from 2 s to ``SETTLED``, deg/s); error (RMS distance from the reference, see ``FLIGHTS``, m); sunk
+        (largest deviation of the height from 1 s on, m).
     """
     seconds, judged, scene, changes = FLIGHTS[case["flight"]]
     params = Params().replace(
@@ -113,7 +113,7 @@ def run(case: dict) -> dict[str, float | int]:
     return outcome | (_scores(flight, scenario, judged) if flight.survived else dict.fromkeys(SCORES, math.nan))
 
 
-SCORES = ("lean", "settled", "rate", "error", "farthest", "sunk")
+SCORES = ("lean", "settled", "rate", "error", "sunk")
 """The columns of a flight that stays up."""
 
 
@@ -133,7 +133,6 @@ def _scores(flight: Flight, scenario: Scenario, judged: float) -> dict[str, floa
         settled,
         float(np.degrees(np.sqrt(np.mean(rates**2)))),
         float(np.sqrt(np.mean(off[time >= judged] ** 2))),
-        float(off.max()),
         float(np.abs(truth[time >= 1.0, 10] - height).max()),
     )
     return dict(zip(SCORES, values, strict=True))
@@ -170,7 +169,6 @@ SCORED = (
     ("pushed", "lean", 100.0, "Lean after the push (cm)", 1),
     ("pushed", "settled", 1.0, "Settled after (s)", 2),
     ("circle", "error", 1000.0, "Error on the circle (mm)", 0),
-    ("wind", "farthest", 1000.0, "Farthest in wind (mm)", 0),
     ("wind", "error", 1000.0, "Offset after 15 s of wind (mm)", 0),
     ("gusts", "error", 1000.0, "Error in gusts (mm)", 0),
     ("rotor", "sunk", 1000.0, "Height lost, hindered (mm)", 0),

@@ -8,7 +8,7 @@ from fiplib.controllers import CONTROLLERS
 from fiplib.studies import field as study
 
 ROW = {
-    "survived": 1, "hovered": 1, "flown": 12.0, "lean": 0.05, "settled": 2.0, "rate": 26.0, "error": 0.1, "farthest": 0.2, "sunk": 0.01,
+    "survived": 1, "hovered": 1, "flown": 12.0, "lean": 0.05, "settled": 2.0, "rate": 26.0, "error": 0.1, "sunk": 0.01,
 }  # fmt: skip
 
 
@@ -20,7 +20,7 @@ def rows() -> list[dict]:
 
 def test_every_controller_of_the_registry_is_in_the_field_and_flies_the_same_cases():
     named = {changes.get("piloting__controller", "mpc") for _, changes in study.FIELD.values()}
-    assert named == set(CONTROLLERS)
+    assert named == set(CONTROLLERS) - {"lqr_circle"}  # the outside check's; off a circle it is "lqr"
     cases = study.cases()
     assert len(cases) == len({tuple(case.values()) for case in cases})
     flown = {
