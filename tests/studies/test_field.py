@@ -20,7 +20,7 @@ def rows() -> list[dict]:
 
 def test_every_controller_of_the_registry_is_in_the_field_and_flies_the_same_cases():
     named = {changes.get("piloting__controller", "mpc") for _, changes in study.FIELD.values()}
-    assert named == set(CONTROLLERS)
+    assert named == set(CONTROLLERS) - {"lqr_circle"}  # the outside check's; off a circle it is "lqr"
     cases = study.cases()
     assert len(cases) == len({tuple(case.values()) for case in cases})
     flown = {
