@@ -241,6 +241,7 @@ class Simulation:
     battery_sag: float = quantity(0.0, "1/s", "share of the thrust lost per second", within=(0, 1), before=0.0)
 
 
+@dataclass(frozen=True)
 class Groups:
     """The base of a frozen dataclass whose fields are groups of parameters, dataclasses themselves.
 
@@ -259,7 +260,7 @@ class Groups:
         for name, value in changes.items():
             group, _, key = name.partition("__")
             if key not in getattr(getattr(self, group, None), "__dataclass_fields__", ()):
-                known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
+                known = [f"{name}__{key}" for name, keys in self.to_dict(complete=True).items() for key in keys]
                 raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
             groups.setdefault(group, {})[key] = _checked(f"{group}.{key}", value, getattr(self, group), key)
         changed = {group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
@@ -303,7 +304,7 @@ class Groups:
         """
         own = {group: fields for group, fields in values.items() if group not in cls.ELSEWHERE}
         for group in dataclasses.fields(cls):
-            older = {f.name: f.metadata["before"] for f in dataclasses.fields(group.type)}
+            older = {f.name: f.metadata["before"] for f in dataclasses.fields(getattr(cls, group.name))}
             if group.name in own:
                 own[group.name] = {k: v for k, v in older.items() if v is not None} | own[group.name]
         return cls().replace(
