@@ -356,7 +356,7 @@ def fly(
     scenario: Scenario,
     recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
-    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
+    vehicle: Callable[..., Plant] = Plant,
 ) -> Flight:
     """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
 
