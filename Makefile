@@ -50,8 +50,7 @@ fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
-# Jupyter refuses to run as root, which one is in a container, without --allow-root. In a container, with its port
-# published: make lab LAB='--ip=0.0.0.0 --no-browser'
+# Jupyter refuses to run as root, which one is in a container, without --allow-root. For a container see docs/faq.md.
 lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyter: make lab LAB='...')
 	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb \
 	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \

@@ -28,9 +28,9 @@ EXTRAS |= {"pandas": "tables", "pyarrow": "tables", "viser": "notebooks"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
-    "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
+    "figures": ("fiplib.commands.figures", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; cut, export, recover or convert it"),
+    "bag": ("fiplib.commands.bag", "say what a recording holds and how long its rod is; cut, export, recover, convert"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
