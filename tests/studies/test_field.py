@@ -27,8 +27,28 @@ def test_every_controller_of_the_registry_is_in_the_field_and_flies_the_same_cas
         name: [(case["flight"], case["length"], case["seed"]) for case in cases if case["controller"] == name]
         for name in study.FIELD
     }
-    assert len(flown["mpc"]) == 20 * (len(study.LENGTHS) + 5) and set(flown["nonlinear_mpc"]) < set(flown["mpc"])
-    assert all(found == flown["mpc"] for name, found in flown.items() if name != "nonlinear_mpc")
+    assert len(flown["mpc"]) == 20 * (len(study.LENGTHS) + 5)
+    fewer = {"nonlinear_mpc", "adaptive_mpc"}
+    assert all(set(flown[name]) < set(flown["mpc"]) for name in fewer)
+    assert all(found == flown["mpc"] for name, found in flown.items() if name not in fewer)
+    assert [length for flight, length, seed in flown["adaptive_mpc"] if (flight, seed) == ("pushed", 0)] == [
+        1,
+        1.6,
+        1.8,
+    ]
+
+
+def test_a_first_length_among_the_rods_to_expect_changes_nothing_for_the_adaptive_mpc():
+    from fiplib.estimators.handover import TrustedHandOver
+    from fiplib.params import Params
+
+    for length in study.LENGTHS:
+        stands_for = study.flown_with("adaptive_mpc", length)
+        one, other = (
+            TrustedHandOver(Params().replace(piloting__initial_length=value)) for value in (length, stands_for)
+        )
+        assert (one.used, *one.believed) == (other.used, *other.believed)
+    assert study.flown_with("mpc", 1.3) == 1.3
 
 
 @pytest.mark.parametrize("flight", study.FLIGHTS)
