@@ -183,7 +183,7 @@ _PUSH, _CIRCLE, _JUMP, _SEEDS = ("push-hover",), ("circle-0.8",), ("length-jump"
 _STARTS = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
 _WEIGHTS = "our weights were chosen among those that met this row before the plant had a raised seat (table7-weights)"
 _LIGHT = "our weights of y and y' are a tenth of those of x and x', chosen light to meet C2.y"
-_CHOICES = "table17-choices has the answer as a function of them"
+_CHOICES = "table17-choices and fig20-choices have the answer as a function of them"
 _SEARCH = f"population, generations and whether a run starts anew are not printed; {_CHOICES}"
 _SCHEDULE = f"'0.2 Hz', the phase of the first run and a window filled before t = 0 are open; {_CHOICES}"
 
@@ -243,15 +243,15 @@ CLAIMS = (
           reason=_SEARCH),
     Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
           studies=_SEEDS, reason=_SEARCH),
-    _flight("G5", "Tracking in x improves once the length is updated", None, "1", 2, quantities.x_tracking, smaller, LITTLE,
-            bags=("estimate-1.4",), remark="RMS error of x on the arc flown before the first update: in later laps "
-            "over in the first lap, which starts from rest. Improves: falls by more than a tenth"),
+    _flight("G5", "Tracking in x improves once the length is updated", None, "1", 2, quantities.x_tracking, smaller,
+            LITTLE, bags=("estimate-1.4",), remark="RMS error of x on the arc flown before the first update: in later "
+            "laps over in the first lap, which starts from rest. Improves: falls by more than a tenth"),
     _flight("G5.y", "Tracking in y barely improves with it", None, "1", 2, quantities.y_tracking, same, ABOUT,
             bags=("estimate-1.4",), remark="The same of y. Barely: the error keeps its size within a quarter"),
     Claim("G6.safe", "A change of length up to 0.8 m is survived", 0.8, "m", 2, evidence.safe_changes, yes,
           late=EXCEPTIONS, bags=_JUMP, studies=("length_jumps",)),
-    Claim("G6.fatal", "A change of length beyond 0.8 m: instability", 0.8, "m", 2, evidence.fatal_changes, yes, bags=_JUMP,
-          studies=_SEEDS),
+    Claim("G6.fatal", "A change of length beyond 0.8 m: instability", 0.8, "m", 2, evidence.fatal_changes, yes,
+          bags=_JUMP, studies=_SEEDS),
     Claim("G6.long", "Beyond 0.8 m longer: commands fluctuate", None, "1", 2,
           partial(evidence.wild_commands, "outlier"), larger, ABOUT, bags=_JUMP, studies=_SEEDS),
     Claim("G6.short", "Beyond 0.8 m shorter: commands fluctuate", None, "1", 2,

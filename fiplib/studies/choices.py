@@ -1,14 +1,13 @@
 """Which of the choices that the paper does not print give its Table 3?
 
-A row is one setting of what takes a run of the estimator: the tracked point, the fitness, N_c
-and the number of generations. Its columns are all combinations of the rest, ``ARMS``: the window at t = 0, new or kept
-populations, period and phase of the runs, the median filter, and what is called convergence. ``choices_runs`` says how
-they are run: in 20 flights a rod of 1 m, from each of the paper's three starts.
+A row is a tracked point and a fitness. Its columns are all combinations of the rest, ``ARMS``: number of candidates and
+of generations, the window at t = 0, new or kept populations, period and phase of the runs, the median filter, and what
+is called convergence. ``choices_runs`` says how they are run: in 20 flights of a rod of 1 m.
 
 ``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``, and ``wide_ARM``, ``strict_ARM``
 the same under two other assumptions, ``SENSITIVITY``. ``within_ARM``: how many of its six independent numbers lie in
 the central 95 % of the simulated ones; each error is that of its length, so that six say all that nine do.
-198 rows, SECONDS_TO_STATE.
+22 rows, SECONDS_TO_STATE.
 """
 
 import itertools
@@ -29,7 +28,7 @@ from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
 from fiplib.reproduction.tables import Facts, Table
 from fiplib.studies import choices_runs as runs
 
-KEYS = ("tracked", "fitness", "population", "generations")
+KEYS = ("tracked", "fitness")
 
 FITNESSES = (
     *(name for name in kalman.READINGS if name != "paper"),
@@ -37,12 +36,15 @@ FITNESSES = (
     f"printed_prior{runs.UNIT}",
 )
 """All readings with calibrated covariances. With unit ones the others end at l_min or l_max (table 9)."""
-CANDIDATES, GENERATIONS = (12, 30, 60), (5, 20, 40)
+CANDIDATES, GENERATIONS = (12, 60), (5, 20)
 
-SETTINGS = (tuple(runs.TRACKED), FITNESSES, CANDIDATES, GENERATIONS)
+SETTINGS = (tuple(runs.TRACKED), FITNESSES)
 """Levels of each of ``KEYS``."""
 
-COLUMNS = (tuple(runs.WINDOWS), runs.POPULATIONS, runs.PERIODS, runs.PHASES, runs.MEDIANS, tuple(runs.DEFINITIONS))
+COLUMNS = (
+    *(CANDIDATES, GENERATIONS, tuple(runs.WINDOWS), runs.POPULATIONS),
+    *(runs.PERIODS, runs.PHASES, runs.MEDIANS, tuple(runs.DEFINITIONS)),
+)
 """Levels of the choices within a row."""
 
 ARMS = tuple(itertools.product(*COLUMNS))
@@ -50,14 +52,14 @@ ARMS = tuple(itertools.product(*COLUMNS))
 LEVELS = {
     "tracked": ("tracked point of the vehicle", SETTINGS[0]),
     "fitness": ("fitness", SETTINGS[1]),
-    "population": ("number of candidates $N_c$", SETTINGS[2]),
-    "generations": ("number of generations", SETTINGS[3]),
-    "window": ("window at $t = 0$", COLUMNS[0]),
-    "first": ("first population of a run", COLUMNS[1]),
-    "period": ("period of the runs", COLUMNS[2]),
-    "phase": ("phase of the first run", COLUMNS[3]),
-    "median": ("length of the median filter", COLUMNS[4]),
-    "definition": ("definition of convergence", COLUMNS[5]),
+    "population": ("number of candidates $N_c$", COLUMNS[0]),
+    "generations": ("number of generations", COLUMNS[1]),
+    "window": ("window at $t = 0$", COLUMNS[2]),
+    "first": ("first population of a run", COLUMNS[3]),
+    "period": ("period of the runs", COLUMNS[4]),
+    "phase": ("phase of the first run", COLUMNS[5]),
+    "median": ("length of the median filter", COLUMNS[6]),
+    "definition": ("definition of convergence", COLUMNS[7]),
 }
 """Every choice, in words, and its levels: the order of the axes of ``log_probabilities``."""
 
@@ -108,8 +110,7 @@ def cases() -> list[dict]:
 def run(case: dict) -> dict[str, float | int]:
     """Run the estimator of one setting in every arm: the columns of all ``ARMS``."""
     row: dict[str, float | int] = {}
-    setting = case["tracked"], case["fitness"], int(case["population"]), int(case["generations"])
-    for arm, found in runs.every_sequence(*setting):
+    for arm, found in runs.every_sequence(case["tracked"], case["fitness"], CANDIDATES, GENERATIONS):
         for filter_length in runs.MEDIANS:
             ends = {id: runs.outcomes(found, filter_length, start) for id, start in STARTS.items()}
             for definition in runs.DEFINITIONS:
@@ -260,8 +261,11 @@ def joined(words: list[str]) -> str:
 
 
 def table17_choices(rows: Rows) -> Table:
-    """Table 17: the posterior share of each level of each unprinted choice, how many levels are left, and how much the
-    choice matters."""
+    """Table 17: the posterior share of each level of each unprinted choice, how many levels are left, and its effect.
+
+    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m: the probability of the paper's
+    Table 3 under every combination of the choices, with equal shares before.
+    """
     found, *others = (posterior(log_probabilities(rows, column)) for column in SENSITIVITY)
     lines: list[tuple[str, ...]] = []
     for choice, (name, levels) in LEVELS.items():
@@ -276,7 +280,12 @@ def table17_choices(rows: Rows) -> Table:
 
 
 def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
-    """Fig. 20: posterior shares of all unprinted choices; the most probable combination flown; the paper's remarks."""
+    """Fig. 20: which unprinted choices give the paper's Table 3: posterior shares, and the most probable ones flown.
+
+    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m. Above: posterior share of each
+    level of each choice; orange: its share before. Middle: convergence time and length of flights of the most probable
+    combination (circles) beside the paper's (stars). Below: how often the paper's remarks on the search come true.
+    """
     figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
     above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
     _draw_shares(above.subplots(), posterior(log_probabilities(rows)))

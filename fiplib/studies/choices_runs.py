@@ -6,6 +6,7 @@ fitness of each is computed at ``GRID`` lengths and interpolated between them; a
 of ``ga`` runs in compiled code (``kernels.evolving``).
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from functools import cache, lru_cache
@@ -262,16 +263,14 @@ def outcomes(found: Sequences, filter_length: int, start: float) -> Outcome:
 
 
 def every_sequence(
-    tracked: str, fitness: str, population: int, generations: int
-) -> Iterator[tuple[tuple[str, str, float, str], Sequences]]:
-    """Yield (window, population, period, phase) and the sequences of it, for one setting of all that takes a run."""
-    estimation = params_of(tracked, fitness, population, generations).estimation
-    found = {}
-    for motion in MOTIONS:
-        times, values = landscapes(tracked, fitness, motion)
-        found[motion] = times, search(values, estimation)
-    for window, (motion, zero) in WINDOWS.items():
-        for first in POPULATIONS:
-            for period in PERIODS:
-                for phase in PHASES:
-                    yield (window, first, period, phase), sequences(*found[motion], zero, first, period, phase)
+    tracked: str, fitness: str, populations: tuple[int, ...], generations: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, int, str, str, float, str], Sequences]]:
+    """Yield (population, generations, window, first population, period, phase) and the sequences of it."""
+    for size in itertools.product(populations, generations):
+        estimation, found = params_of(tracked, fitness, *size).estimation, {}
+        for motion in MOTIONS:
+            times, values = landscapes(tracked, fitness, motion)
+            found[motion] = times, search(values, estimation)
+        for window, *rest in itertools.product(WINDOWS, POPULATIONS, PERIODS, PHASES):
+            motion, zero = WINDOWS[window]
+            yield (*size, window, *rest), sequences(*found[motion], zero, *rest)

@@ -186,7 +186,12 @@ SCORED = (
 
 
 def table18_field(rows: Rows, ticks: Quantities) -> Table:
-    """Table 18: a column for each controller: who stays up, how well, and how long a tick takes."""
+    """Table 18: a column for each controller: who stays up, how well, and how long a tick takes.
+
+    20 simulated flights of each kind, 10 of the nonlinear MPC, with the same plant, noise and seeds: a uniform rod of
+    1 m on a seat of 8 cm. Means with half their 95 % intervals; a length in use survives where most flights do. A
+    tick: median and 99th percentile of one call, measured on one machine.
+    """
     lines = []
     for column, name in (("hovered", f"Lengths up, hover {PUSHED:g} s (m)"), ("survived", "And after a push (m)")):
         lines.append((name, *(_span(surviving(rows, controller, column)) for controller in FIELD)))
@@ -217,7 +222,12 @@ def _interval(value: float, low: float, high: float, decimals: int) -> str:
 
 
 def fig21_field(rows: Rows) -> Figure:
-    """Fig. 21: which lengths in use survive a push; and the commands, circles and offsets in wind."""
+    """Fig. 21: the controllers on the same plant, noise and seeds: with which lengths they survive, and how well.
+
+    20 simulated flights at each point, 10 of the nonlinear MPC, a uniform rod of 1 m on a seat of 8 cm. Above: the
+    percentage that stays up after a push of 8 mN s in hover, by the length in use. Below: RMS rate command in hover
+    with the push, RMS error on the 0.4 m circle (8 s), and in a steady wind of 2 m/s; means with 95 % intervals.
+    """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
     axes, labels = above.subplots(), [label for label, _ in FIELD.values()]

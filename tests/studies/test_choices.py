@@ -185,7 +185,7 @@ def test_table_and_facts_state_the_posterior_of_the_rows():
     assert [line[0] for line in table.rows] == [name for name, _ in study.LEVELS.values()]
     assert all(len(line) == len(table.header) for line in table.rows)
     assert table.rows[0][2].startswith("seat 1") or table.rows[0][2].startswith("seat 9")
-    assert facts["combinations",] == facts["all", "numbers"] == str(198 * 216)
+    assert facts["combinations",] == facts["all", "numbers"] == str(22 * 864)
     assert int(facts["period", "5"]) > 95 and facts["window", "empty"] == "33"
     assert "period of the runs" in facts["questions",]
 

@@ -43,6 +43,7 @@ def test_it_is_served_to_this_machine_only(view):
     assert frame.src == view.address and frame.height == 300
 
 
+@pytest.mark.realtime
 def test_it_flies_as_fast_as_the_clock_and_sleeps_between_the_pictures(view):
     await_true(lambda: view.do(lambda flight: flight.seconds) > 0.5)  # compiled code is loaded by then
     begun, worked, flown = time.monotonic(), time.process_time(), view.do(lambda flight: flight.seconds)
