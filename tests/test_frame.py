@@ -187,3 +187,11 @@ def test_the_map_names_every_product_and_only_files_that_exist():
     paths = re.findall(r"`((?:fiplib|scripts|data|tests|benchmarks)/[\w./-]*)", text)
     assert [path for path in paths if not (ROOT / path).exists()] == []
     assert set(re.findall(r"`((?:fig|table)\d+-[\w-]+)`", text)) == set(products.PRODUCTS)
+
+
+def test_the_table_of_the_readme_is_that_of_the_ledger():
+    from fiplib.reproduction import ledger
+
+    readme = (ROOT / "README.md").read_text()
+    table = re.search(r"<!-- headline: .*-->\n(.*?)<!-- end of headline -->", readme, re.DOTALL)
+    assert table and table[1].strip() == ledger.headline(ROOT / "data").strip()

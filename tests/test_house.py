@@ -179,7 +179,9 @@ def test_the_eight_lines_of_the_readme_fly_and_find_the_length(tmp_path):
 
 
 # Packages of the extras: a wheel alone must not need them.
-EXTRAS = "IPython ipykernel ipympl ipywidgets jupyter sympy serial dask distributed sphinx pytest hypothesis mcap"
+EXTRAS = (
+    "IPython gymnasium ipykernel ipympl ipywidgets jupyter sympy serial dask distributed sphinx pytest hypothesis mcap"
+)
 
 
 def test_a_wheel_gives_the_command_and_reads_a_bag_without_the_extras(tmp_path):

@@ -44,7 +44,7 @@ class _First(NamedTuple):
     gains: NDArray
 
 
-class _Regulator:
+class _Regulator:  # a margins.Regulator
     def __init__(self, weights: Weights) -> None:
         self._weights = weights
 

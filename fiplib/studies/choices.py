@@ -1,21 +1,21 @@
 """Which of the choices that the paper does not print give its Table 3?
 
-A row is one setting of what takes a run of the estimator: the tracked point, the fitness, the noise covariances, N_c
-and the number of generations. Its columns are all combinations of the rest, ``ARMS``: the window at t = 0, new or kept
-populations, period and phase of the runs, the median filter, and what is called convergence. ``choices_runs`` says how
-they are run: in 20 flights a rod of 1 m, from each of the paper's three starts.
+A row is a tracked point and a fitness. Its columns are all combinations of the rest, ``ARMS``: number of candidates and
+of generations, the window at t = 0, new or kept populations, period and phase of the runs, the median filter, and what
+is called convergence. ``choices_runs`` says how they are run: in 20 flights of a rod of 1 m.
 
-``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``; ``within_ARM``, how many of its
-six independent numbers lie in the central 95 % of the simulated ones: each error is that of its length, so that six
-say all that nine do.
-324 rows, SECONDS_TO_STATE.
+``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``, and ``wide_ARM``, ``strict_ARM``
+the same under two other assumptions, ``SENSITIVITY``. ``within_ARM``: how many of its six independent numbers lie in
+the central 95 % of the simulated ones; each error is that of its length, so that six say all that nine do.
+22 rows, SECONDS_TO_STATE.
 """
 
 import itertools
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
@@ -27,17 +27,24 @@ from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
 from fiplib.reproduction.tables import Facts, Table
 from fiplib.studies import choices_runs as runs
-from fiplib.studies.choices_runs import Outcome
 
-KEYS = ("tracked", "fitness", "noise", "population", "generations")
+KEYS = ("tracked", "fitness")
 
-FITNESSES = tuple(name for name in kalman.READINGS if name != "paper")
-CANDIDATES, GENERATIONS = (12, 30, 60), (5, 20, 40)
+FITNESSES = (
+    *(name for name in kalman.READINGS if name != "paper"),
+    f"printed_posterior{runs.UNIT}",
+    f"printed_prior{runs.UNIT}",
+)
+"""All readings with calibrated covariances. With unit ones the others end at l_min or l_max (table 9)."""
+CANDIDATES, GENERATIONS = (12, 60), (5, 20)
 
-SETTINGS = (tuple(runs.TRACKED), FITNESSES, runs.NOISES, CANDIDATES, GENERATIONS)
+SETTINGS = (tuple(runs.TRACKED), FITNESSES)
 """Levels of each of ``KEYS``."""
 
-COLUMNS = (tuple(runs.WINDOWS), runs.POPULATIONS, runs.PERIODS, runs.PHASES, runs.MEDIANS, tuple(runs.DEFINITIONS))
+COLUMNS = (
+    *(CANDIDATES, GENERATIONS, tuple(runs.WINDOWS), runs.POPULATIONS),
+    *(runs.PERIODS, runs.PHASES, runs.MEDIANS, tuple(runs.DEFINITIONS)),
+)
 """Levels of the choices within a row."""
 
 ARMS = tuple(itertools.product(*COLUMNS))
@@ -45,25 +52,23 @@ ARMS = tuple(itertools.product(*COLUMNS))
 LEVELS = {
     "tracked": ("tracked point of the vehicle", SETTINGS[0]),
     "fitness": ("fitness", SETTINGS[1]),
-    "noise": ("noise covariances", SETTINGS[2]),
-    "population": ("number of candidates $N_c$", SETTINGS[3]),
-    "generations": ("number of generations", SETTINGS[4]),
-    "window": ("window at $t = 0$", COLUMNS[0]),
-    "first": ("first population of a run", COLUMNS[1]),
-    "period": ("period of the runs", COLUMNS[2]),
-    "phase": ("phase of the first run", COLUMNS[3]),
-    "median": ("length of the median filter", COLUMNS[4]),
-    "definition": ("definition of convergence", COLUMNS[5]),
+    "population": ("number of candidates $N_c$", COLUMNS[0]),
+    "generations": ("number of generations", COLUMNS[1]),
+    "window": ("window at $t = 0$", COLUMNS[2]),
+    "first": ("first population of a run", COLUMNS[3]),
+    "period": ("period of the runs", COLUMNS[4]),
+    "phase": ("phase of the first run", COLUMNS[5]),
+    "median": ("length of the median filter", COLUMNS[6]),
+    "definition": ("definition of convergence", COLUMNS[7]),
 }
 """Every choice, in words, and its levels: the order of the axes of ``log_probabilities``."""
 
 WORDS = {
-    "identity": "$Q_e = R_e = I$",
     "empty": "empty",
     "hover": "filled in hover",
     "circle": "filled on the circle",
     "fresh": "drawn anew",
-    "kept": "the last one",
+    "kept": "kept",
     "window": "when the window is full",
     "clock": "by a free clock",
     "stays5": "stays within 5 cm",
@@ -76,14 +81,17 @@ TRANSITIONS = {"printed": "as printed", "euler": "Euler", "rk4": "Runge-Kutta"}
 STARTS = {"G2": 1.2, "G1": 0.8, "G3": 1.4}
 """Rows of the ledger with the paper's numbers, and the length in m that each flight starts with."""
 
-HALF_DIGIT = {"G1": 5e-4, "G2": 5e-4, "G3": 5e-2}
-"""Half a unit of the last digit that the paper prints of each error, m: the third is printed as 0.0."""
-HALF_TIME = 5e-3
-"""The same of the times, s."""
+HALF_DIGIT, HALF_TIME = 5e-4, 5e-3
+"""Half a unit of the last digit that the paper prints of its lengths, m, and times, s."""
+HALF_DIGITS = {"G1": HALF_DIGIT, "G2": HALF_DIGIT, "G3": 5e-2}
+"""The same of the errors, m: the third is printed as 0.0."""
 
 KERNEL = (0.01, 0.25)
 """Standard deviations in m and s of the Gaussian kernels: about what the neglected feedback moves a single flight by
 (``choices_checks``), so that nothing finer is read from the runs than they hold."""
+
+SENSITIVITY = {"fit": (1.0, HALF_DIGITS["G3"]), "wide": (2.0, HALF_DIGITS["G3"]), "strict": (1.0, HALF_DIGIT)}
+"""Columns: as stated; with kernels twice as wide; and with the third error taken to be 0.000."""
 
 BASE = (Params().estimation.length_max - Params().estimation.length_min, runs.SECONDS)
 """Extent in m and s of the uniform density that counts as one more flight: what 20 never did is not impossible."""
@@ -102,40 +110,49 @@ def cases() -> list[dict]:
 def run(case: dict) -> dict[str, float | int]:
     """Run the estimator of one setting in every arm: the columns of all ``ARMS``."""
     row: dict[str, float | int] = {}
-    setting = case["tracked"], case["fitness"], case["noise"], int(case["population"]), int(case["generations"])
-    for arm, found in runs.every_sequence(*setting):
+    for arm, found in runs.every_sequence(case["tracked"], case["fitness"], CANDIDATES, GENERATIONS):
         for filter_length in runs.MEDIANS:
             ends = {id: runs.outcomes(found, filter_length, start) for id, start in STARTS.items()}
             for definition in runs.DEFINITIONS:
                 name = arm_name((*arm, filter_length, definition))
-                judged = [judge(end, definition, found.weights, id) for id, end in ends.items()]
-                row[f"fit_{name}"] = round(sum(one[0] for one in judged), 2)
-                row[f"within_{name}"] = sum(one[1] for one in judged)
+                pairs = {id: (end.length, end.seconds[definition]) for id, end in ends.items()}
+                for column, (widening, third) in SENSITIVITY.items():
+                    total = 0.0
+                    for id, pair in pairs.items():
+                        half = third if id == "G3" else HALF_DIGIT, HALF_TIME
+                        kernel = widening * KERNEL[0], widening * KERNEL[1]
+                        total += log_probability(*pair, found.weights, paper_of(id), half, kernel)
+                    row[f"{column}_{name}"] = round(total, 1)
+                inside = [
+                    between(values, found.weights, number, slack)
+                    for id, pair in pairs.items()
+                    for values, number, slack in zip(pair, paper_of(id), (HALF_DIGITS[id], HALF_TIME), strict=True)
+                ]
+                row[f"within_{name}"] = sum(inside)
     return row
 
 
-def judge(end: Outcome, definition: str, weights: NDArray, id: str) -> tuple[float, int]:
-    """Return the log probability of a pair of the paper's numbers, length and time, and how many of the two lie in the
-    central 95 % of the simulated ones."""
-    length, seconds, half = PAPER[f"{id}.length"], PAPER[f"{id}.time"], HALF_DIGIT[id]
-    simulated = end.length, end.seconds[definition]
-    inside = [
-        between(values, weights, paper, slack)
-        for values, paper, slack in zip(simulated, (length, seconds), (half, HALF_TIME), strict=True)
-    ]
-    return log_probability(*simulated, weights, (length, seconds), (half, HALF_TIME)), sum(inside)
+def paper_of(id: str) -> tuple[float, float]:
+    """Return the paper's length in m and time in s of one of its flights."""
+    return PAPER[f"{id}.length"], PAPER[f"{id}.time"]
 
 
 def log_probability(
-    lengths: NDArray, seconds: NDArray, weights: NDArray, paper: tuple[float, float], half: tuple[float, float]
+    lengths: NDArray,
+    seconds: NDArray,
+    weights: NDArray,
+    paper: tuple[float, float],
+    half: tuple[float, float],
+    kernel: tuple[float, float],
 ) -> float:
     """Return the log of the probability that another flight gives the paper's two numbers as it rounds them.
 
     The density is the mean of Gaussian kernels at the simulated pairs (S,) and, as one more flight, a uniform one: the
-    predictive density of a Dirichlet process. ``weights`` (S,): of a flight together 1.
+    predictive density of a Dirichlet process. ``weights`` (S,): of a flight together 1. ``half`` a unit of the last
+    digits and ``kernel``, the standard deviations, in m and s.
     """
     cells = []
-    for values, number, slack, width in zip((lengths, seconds), paper, half, KERNEL, strict=True):
+    for values, number, slack, width in zip((lengths, seconds), paper, half, kernel, strict=True):
         cells.append(ndtr((number + slack - values) / width) - ndtr((number - slack - values) / width))
     base = np.prod([2.0 * slack / extent for slack, extent in zip(half, BASE, strict=True)])
     return float(np.log((weights @ (cells[0] * cells[1]) + base) / (weights.sum() + 1.0)))
@@ -200,8 +217,8 @@ def word(choice: str, level: object) -> str:
     """Return a level in words."""
     if choice == "fitness":
         transition, _, score = str(level).partition("_")
-        return f"{TRANSITIONS[transition]}, {score}"
-    unit = {"period": r"\,s"}.get(choice, "")
+        return f"{TRANSITIONS[transition]}, {score.replace(runs.UNIT, ', $Q_e$=$R_e$=$I$')}"
+    unit = {"period": " s"}.get(choice, "")
     return WORDS.get(str(level), f"{level:g}{unit}" if isinstance(level, float | int) else str(level))
 
 
@@ -244,75 +261,99 @@ def joined(words: list[str]) -> str:
 
 
 def table17_choices(rows: Rows) -> Table:
-    """Table 17: the posterior share of each level of each unprinted choice, how many levels are left, and how much the
-    choice matters."""
-    found, lines = posterior(log_probabilities(rows)), []
+    """Table 17: the posterior share of each level of each unprinted choice, how many levels are left, and its effect.
+
+    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m: the probability of the paper's
+    Table 3 under every combination of the choices, with equal shares before.
+    """
+    found, *others = (posterior(log_probabilities(rows, column)) for column in SENSITIVITY)
+    lines: list[tuple[str, ...]] = []
     for choice, (name, levels) in LEVELS.items():
         share = found.shares[choice]
         order = np.argsort(-share, kind="stable")[:3]
         words = "; ".join(f"{word(choice, levels[at])} {100 * share[at]:.0f}" for at in order)
-        lines.append((name, f"{len(levels)}", words, f"{effective(share):.1f}", f"{found.effects[choice]:.1f}"))
-    header = ("Choice", "Levels", r"Most probable levels (\%)", "Levels left", "Effect (nats)")
-    return Table(header, lines, "lrlrr")
+        first = [f"{100 * other.shares[choice][order[0]]:.0f}" for other in others]
+        rest = f"{effective(share):.1f}", f"{found.effects[choice]:.1f}"
+        lines.append((name, f"{len(levels)}", words, *first, *rest))
+    header = ("Choice", "Levels", r"Most probable levels (\%)", r"Wide (\%)", r"Strict (\%)", "Levels left", "Effect")
+    return Table(header, lines, "lrlrrrr")
 
 
 def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
-    """Fig. 20: posterior shares of all unprinted choices; the most probable combination flown; the paper's remarks."""
-    found = posterior(log_probabilities(rows))
-    figure = Figure(figsize=(COLUMN, 7.4), layout="constrained")
-    grid = figure.add_gridspec(3, 3, height_ratios=(4.4, 1.5, 1.3))
-    above, middle = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-    lines, ticks, names = 0.0, [], []
+    """Fig. 20: which unprinted choices give the paper's Table 3: posterior shares, and the most probable ones flown.
+
+    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m. Above: posterior share of each
+    level of each choice; orange: its share before. Middle: convergence time and length of flights of the most probable
+    combination (circles) beside the paper's (stars). Below: how often the paper's remarks on the search come true.
+    """
+    figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
+    above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
+    _draw_shares(above.subplots(), posterior(log_probabilities(rows)))
+    _draw_flights(middle.subplots(), flown)
+    _draw_remarks(below, exploring)
+    origin(figure, f"simulated flights, 1 m rod, {len(runs.SEEDS)} seeds")
+    return figure
+
+
+def _draw_shares(axes: Axes, found: Posterior) -> None:
+    """A bar for each level; a line where each level was before."""
+    at, names, line = [], [], 0.0
     for choice, (name, levels) in LEVELS.items():
-        above.text(1.0, lines, name, ha="right", va="center", fontsize=7, color=GREY, style="italic")
-        for level, share in zip(levels, found.shares[choice], strict=True):
-            above.barh(lines, share, height=0.75, color=BLUE)
-            ticks.append(lines)
-            names.append(word(choice, level))
-            lines += 1.0
-        above.plot([1 / len(levels)] * 2, [lines - len(levels) - 0.5, lines - 0.5], color=ORANGE, lw=0.9)
-        lines += 0.5
-    above.set(yticks=ticks, yticklabels=names, xlim=(0, 1), ylim=(lines - 0.6, -0.8), xlabel="posterior share")
-    above.tick_params(axis="y", labelsize=6, length=0)
+        at.append(line)
+        names.append(name)
+        lines = line + 1.0 + np.arange(len(levels))
+        axes.barh(lines, found.shares[choice], height=0.75, color=BLUE)
+        axes.plot([1 / len(levels)] * 2, [lines[0] - 0.5, lines[-1] + 0.5], color=ORANGE, lw=0.9)
+        at.extend(lines)
+        names.extend(word(choice, level) for level in levels)
+        line = lines[-1] + 1.3
+    axes.set_yticks(at, names, fontsize=6)
+    headings = {name for name, _ in LEVELS.values()}
+    for label in axes.get_yticklabels():
+        if label.get_text() in headings:
+            label.set(style="italic", color=GREY)
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlim=(0, 1), ylim=(line - 0.6, -0.6), xlabel="posterior share (line: before)")
+
+
+def _draw_flights(axes: Axes, flown: Rows) -> None:
+    """The most probable combination flown with its estimates fed back, and the paper's three flights."""
     colours = {1.2: GREEN, 0.8: BLUE, 1.4: ORANGE}
     for id, start in STARTS.items():
         some = [row for row in flown if (row["combination"], row["start"]) == ("best", start)]
         points = np.array([(row["seconds"], row["length"]) for row in some])
         style = {"color": colours[start], "ls": "none"}
-        middle.plot(*points.T, "o", ms=2.5, mfc="none", mew=0.6, **style)
-        label = f"$l_0$ = {start} m"
-        middle.plot(PAPER[f"{id}.time"], PAPER[f"{id}.length"], "*", ms=8, mec="black", mew=0.5, label=label, **style)
-    middle.axhline(1.0, color="black", lw=0.5)
-    middle.set(xlabel="convergence time (s)", ylabel="length (m)", xlim=(0, runs.SECONDS))
-    middle.legend(loc="upper right", ncols=3, handlelength=1.0)
-    titles = {"late": "little change\nafter 14 s", "search": "search is\nthe limit", "remedy": "remedy\nmends it"}
-    below = [figure.add_subplot(grid[2, column]) for column in range(3)]
-    for axes, (remark, title) in zip(below, titles.items(), strict=True):
-        for first, colour, marker, shift in (("fresh", BLUE, "o", 0.96), ("kept", ORANGE, "s", 1.04)):
-            points = np.array(
-                [
-                    (row["population"] * row["generations"], *share(row, f"{remark}_{first}_0.2"))
-                    for row in seat(exploring)
-                ]
-            )
+        axes.plot(*points.T, "o", ms=2.5, mfc="none", mew=0.6, **style)
+        label = f"paper, $l_0$ = {start} m"
+        axes.plot(PAPER[f"{id}.time"], PAPER[f"{id}.length"], "*", ms=8, mec="black", mew=0.5, label=label, **style)
+    axes.axhline(1.0, color="black", lw=0.5)
+    axes.set(xlabel="convergence time (s)", ylabel="length (m)", xlim=(0, runs.SECONDS))
+    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=0.8)
+
+
+def _draw_remarks(figure: SubFigure, exploring: Rows) -> None:
+    """Share of flights in which each of the paper's remarks on the search holds, with intervals."""
+    titles = {"late": "little changes\nafter 14 s", "search": "search is\nthe limit", "remedy": "the remedy\nhelps"}
+    panels = figure.subplots(1, len(titles), sharey=True)
+    for axes, (remark, title) in zip(panels, titles.items(), strict=True):
+        for first, colour, marker, shift in (("fresh", BLUE, "o", 0.95), ("kept", ORANGE, "s", 1.05)):
+            column, some = f"{remark}_{first}_{runs.STEP:g}", likelihood(exploring)
+            points = np.array([(row["population"] * row["generations"], *holding(row, column)) for row in some])
             spread = np.abs(points[:, 2:] - points[:, 1:2]).T
-            look = {"color": colour, "ls": "none", "elinewidth": 0.5, "label": WORDS[first]}
+            look = {"color": colour, "ls": "none", "elinewidth": 0.5, "label": f"population {WORDS[first]}"}
             axes.errorbar(shift * points[:, 0], points[:, 1], spread, marker=marker, ms=2.5, **look)
         axes.set(xscale="log", ylim=(-0.04, 1.04), xlim=(40, 3600), title=title)
-        axes.set_yticks((0, 0.5, 1), ("0", "½", "1") if axes is below[0] else ("", "", ""))
-    below[0].set_ylabel("share of flights")
-    below[1].set_xlabel("candidates x generations of a run")
-    below[2].legend(loc="best", fontsize=6)
-    origin(figure, f"simulated flights, 1 m rod, {len(runs.SEEDS)} seeds")
-    return figure
+    panels[0].set_ylabel("share of flights")
+    panels[1].set_xlabel("candidates x generations of a run")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
 
-def seat(exploring: Rows) -> Rows:
-    """Return the rows of the seat tracked and the likelihood as fitness."""
-    return [row for row in exploring if (row["tracked"], row["fitness"]) == ("seat", "rk4_likelihood")]
+def likelihood(exploring: Rows) -> Rows:
+    """Return the rows of the likelihood as fitness."""
+    return [row for row in exploring if row["fitness"] == "rk4_likelihood"]
 
 
-def share(row: dict, column: str) -> tuple[float, float, float]:
+def holding(row: dict, column: str) -> tuple[float, float, float]:
     """Return the share of flights in which a remark holds, and its exact 95 % interval."""
     holds, flights = round(row[column]), len(runs.SEEDS)
     return holds / flights, *binomial_interval(holds, flights)

@@ -6,6 +6,7 @@ fitness of each is computed at ``GRID`` lengths and interpolated between them; a
 of ``ga`` runs in compiled code (``kernels.evolving``).
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from functools import cache, lru_cache
@@ -41,8 +42,8 @@ GRID = 81
 TRACKED = {"seat": "seat", "frame": "frame"}
 """The vehicle's tracked point; the pilot takes it to be the seat: the paper's model has no height between the two."""
 
-NOISES = ("calibrated", "identity")
-"""Q_e and R_e: measured in a simulated flight, or both unit matrices, what a paper that prints neither suggests."""
+UNIT = "_unit"
+"""Ending of a fitness with Q_e = R_e = I, what a paper that prints neither suggests; else they are calibrated."""
 
 WINDOWS = {"empty": ("circle", 0.0), "hover": ("hover", LEAD), "circle": ("circle", LEAD)}
 """State of the window at t = 0: the recording, and the seconds of it that lie before."""
@@ -67,17 +68,17 @@ SPREAD = 3
 """Of the ``EVERY`` phases of the long period a flight has each ``SPREAD``-th, the next flight those beside them."""
 
 
-def params_of(tracked: str, fitness: str, noise: str, population: int, generations: int) -> Params:
+def params_of(tracked: str, fitness: str, population: int, generations: int) -> Params:
     """Return the parameters of one combination."""
     params = Params().replace(
         simulation__vehicle_origin=TRACKED[tracked],
         piloting__seat_height=0.0,
-        estimation__fitness=fitness,
+        estimation__fitness=fitness.removesuffix(UNIT),
         estimation__population=population,
         estimation__generations=generations,
         estimation__run_period=STEP,
     )
-    if noise == "calibrated":
+    if not fitness.endswith(UNIT):
         return params
     unit = (1.0,) * len(params.estimation.process_noise)
     return params.replace(estimation__process_noise=unit, estimation__measurement_noise=unit)
@@ -92,7 +93,7 @@ def windows_of(flight: Flight, params: Params) -> tuple[NDArray, list[Window]]:
 @cache
 def recorded(tracked: str, motion: str) -> tuple[NDArray, list[list[Window]]]:
     """Times (W,) of windows, the same for all flights, and those of a flight for each seed. RuntimeError: a fall."""
-    params = params_of(tracked, "paper", "calibrated", 60, 20)
+    params = params_of(tracked, "paper", 60, 20)
     duration = LEAD + SECONDS + STEP
     scenarios = [Scenario("choices", "", duration, MOTIONS[motion], params=params, seed=95_000 + s) for s in SEEDS]
     found = []
@@ -110,9 +111,9 @@ def lengths_of(estimation: Estimation) -> NDArray:
 
 
 @lru_cache(maxsize=2)
-def landscapes(tracked: str, fitness: str, noise: str, motion: str) -> tuple[NDArray, NDArray]:
+def landscapes(tracked: str, fitness: str, motion: str) -> tuple[NDArray, NDArray]:
     """Times (W,) in s and fitness (F, W, ``GRID``) of the windows of all flights."""
-    estimation = params_of(tracked, fitness, noise, 60, 20).estimation
+    estimation = params_of(tracked, fitness, 60, 20).estimation
     grid, (times, flights) = lengths_of(estimation), recorded(tracked, motion)
     return times, np.array([[kalman.fitness(grid, window, estimation) for window in windows] for windows in flights])
 
@@ -262,16 +263,14 @@ def outcomes(found: Sequences, filter_length: int, start: float) -> Outcome:
 
 
 def every_sequence(
-    tracked: str, fitness: str, noise: str, population: int, generations: int
-) -> Iterator[tuple[tuple[str, str, float, str], Sequences]]:
-    """Yield (window, population, period, phase) and the sequences of it, for one setting of all that takes a run."""
-    estimation = params_of(tracked, fitness, noise, population, generations).estimation
-    found = {}
-    for motion in MOTIONS:
-        times, values = landscapes(tracked, fitness, noise, motion)
-        found[motion] = times, search(values, estimation)
-    for window, (motion, zero) in WINDOWS.items():
-        for first in POPULATIONS:
-            for period in PERIODS:
-                for phase in PHASES:
-                    yield (window, first, period, phase), sequences(*found[motion], zero, first, period, phase)
+    tracked: str, fitness: str, populations: tuple[int, ...], generations: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, int, str, str, float, str], Sequences]]:
+    """Yield (population, generations, window, first population, period, phase) and the sequences of it."""
+    for size in itertools.product(populations, generations):
+        estimation, found = params_of(tracked, fitness, *size).estimation, {}
+        for motion in MOTIONS:
+            times, values = landscapes(tracked, fitness, motion)
+            found[motion] = times, search(values, estimation)
+        for window, *rest in itertools.product(WINDOWS, POPULATIONS, PERIODS, PHASES):
+            motion, zero = WINDOWS[window]
+            yield (*size, window, *rest), sequences(*found[motion], zero, *rest)

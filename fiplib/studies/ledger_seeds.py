@@ -236,9 +236,9 @@ def table5_seeds(rows: Rows) -> Table:
 def table6_readings(default: Rows, readings: Rows) -> Table:
     """Table 6: the length that the estimator's flights come to under other interpretations of the paper.
 
-    Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 40 of the default, 20 of each
-    other interpretation and of the paper's remedy (exploring). Median with its 95 % interval, RMS error, the change
-    from one answer to the next that one in ten exceeds, and how many flights end within the paper's 29 mm.
+    Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 40 flights of the default, 20 of
+    each other interpretation and of the paper's remedy (exploring). Median with its 95 % interval, RMS error, the
+    change from one answer to the next that one in ten exceeds, and how many flights end within the paper's 29 mm.
     """
     claim, lines = claims.BY_ID["G1.length"], []
     for variant in ("default", *dict.fromkeys(row["variant"] for row in readings)):

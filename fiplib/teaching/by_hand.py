@@ -7,7 +7,7 @@ It has neither clock nor thread: ``fiplib.teaching.viewer`` runs it against the 
 import math
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any
 
@@ -153,6 +153,11 @@ class BackgroundEstimator:
             self._running = self._worker.submit(self._function, window, self._params, self._rng)
         return answer
 
+    def wait(self) -> None:
+        """Return when no run is under way: a flight that outruns the clock would leave its estimator behind."""
+        if self._running is not None:
+            wait([self._running])
+
     def close(self) -> None:
         """End the thread, after the run under way."""
         self._worker.shutdown(wait=True, cancel_futures=True)
@@ -253,6 +258,11 @@ class HandFlight:
             self._scenario.name,
             replace(self._scenario, reference=Hover()).metadata() | {"reference": {"kind": "Target"}},
         )
+
+    def wait_for_estimate(self) -> None:
+        """Wait for the estimate under way, if there is one: where the flight is faster than the clock."""
+        if self._estimator is not None:
+            self._estimator.wait()
 
     def close(self) -> None:
         """End the estimator's thread, if there is one."""

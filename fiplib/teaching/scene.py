@@ -18,6 +18,9 @@ LOOPBACK = "127.0.0.1"
 BLUE, ORANGE, GREEN, BLACK, GREY = (0, 114, 178), (213, 94, 0), (0, 158, 115), (30, 30, 30), (150, 150, 150)
 """The colours of Okabe and Ito."""
 
+BESIDE = np.array([0.6, 0.0, 0.0])
+"""Where the second picture stands, from the first, m."""
+
 TRAIL = 60
 """Points of the track that stay visible."""
 
@@ -27,16 +30,22 @@ def quiet() -> contextlib.redirect_stdout[io.StringIO]:
     return contextlib.redirect_stdout(io.StringIO())
 
 
+class LocalServer(viser.ViserServer):
+    """A server that never opens its tunnel to a server of others, whatever a page asks for."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Share nothing."""
+
+
 def open_server(label: str) -> viser.ViserServer:
     """Serve an empty scene on a free port of the loopback interface; the caller stops it."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port = probe.getsockname()[1]
     with quiet():
-        server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
-    # sharing sends the page through a server of others
+        server = LocalServer(host=LOOPBACK, port=port, label=label, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BLUE)
-    server.initial_camera.position, server.initial_camera.look_at = (0.7, -2.0, 1.9), (0.0, 0.0, 1.55)
+    server.initial_camera.position, server.initial_camera.look_at = (0.8, -1.8, 2.0), (0.2, 0.0, 1.55)
     return server
 
 
@@ -54,9 +63,10 @@ class Scene:
         self._scene.add_grid("/floor", 6.0, 6.0, cell_size=0.1, section_size=1.0, plane_color=(255, 255, 255),
                              plane_opacity=1.0, shadow_opacity=0.3, cell_color=(235, 235, 235),
                              section_color=(200, 200, 200))  # fmt: skip
+        self._words = self._scene.add_label("/enlarged", f"lean and tilt {ENLARGED:g} times enlarged")
         self._target = self._scene.add_icosphere("/target", 0.02, GREEN, cast_shadow=False)
         self._track = self._scene.add_line_segments("/track", np.zeros((1, 2, 3)), BLUE, thickness=0.004)
-        self._vehicles = [self._body("/vehicle", BLUE, None), self._body("/enlarged-vehicle", ORANGE, 0.35)]
+        self._vehicles = [self._body("/vehicle", BLUE, None), self._body("/enlarged-vehicle", ORANGE, 0.7)]
         self.length = params.pendulum.length
         self._rods = [self._scene.add_frame(name, show_axes=False) for name in ("/rod", "/enlarged-rod")]
         self.rod(params.pendulum.length)
@@ -65,7 +75,7 @@ class Scene:
     def rod(self, length: float) -> None:
         """Draw a rod of this length in m, with its centre of mass."""
         self.length = length
-        for name, colour, opacity in (("/rod", BLACK, None), ("/enlarged-rod", ORANGE, 0.35)):
+        for name, colour, opacity in (("/rod", BLACK, None), ("/enlarged-rod", ORANGE, 0.7)):
             middle = (0.0, 0.0, length / 2)
             self._scene.add_cylinder(f"{name}/stick", 0.006, length, colour, opacity=opacity, position=middle)
             self._scene.add_icosphere(f"{name}/com", 0.014, ORANGE, opacity=opacity, position=middle)
@@ -73,7 +83,7 @@ class Scene:
 
     def enlarge(self, shown: bool) -> None:
         """Show or hide the second picture, in which lean and tilt are ``ENLARGED``."""
-        self._vehicles[1].visible = self._rods[1].visible = shown
+        self._vehicles[1].visible = self._rods[1].visible = self._words.visible = shown
 
     def show(self, seat: ArrayLike, attitude: ArrayLike, rod: ArrayLike, target: ArrayLike) -> None:
         """Move everything.
@@ -87,10 +97,11 @@ class Scene:
         seat, x, y, z, w = np.asarray(seat, dtype=float), *map(float, attitude)
         up, below = np.array(z_axis(x, y, z, w)), self._params.vehicle.seat_height
         turns = (x, y, z, w), upright(up, ENLARGED)
-        for vehicle, stick, turn, lean in zip(self._vehicles, self._rods, turns, (1.0, ENLARGED), strict=True):
-            # both vehicles are below the seat, on which both rods stand
+        places = (seat, 1.0), (seat + BESIDE, ENLARGED)
+        for vehicle, stick, turn, (seat, lean) in zip(self._vehicles, self._rods, turns, places, strict=True):
             vehicle.wxyz, vehicle.position = _scalar_first(turn), seat - below * np.array(z_axis(*turn))
             stick.wxyz, stick.position = _scalar_first(upright(rod, lean)), seat
+        self._words.position = seat - [0.0, 0.0, 0.25]
         self._target.position = np.asarray(target, dtype=float)
 
     def extend_track(self, seat: ArrayLike) -> None:

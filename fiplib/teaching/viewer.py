@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,9 @@ PICTURES = 30
 
 LATE = 0.25
 """Seconds that the flight may fall behind the clock before it gives them up, and flies slower than real time."""
+
+PATIENCE = 10.0
+"""Seconds within which the flight's thread must answer."""
 
 CHOICES = (NO_ESTIMATE, "poses", "ga")
 """Estimators offered: none, the recommended one, and the paper's."""
@@ -56,9 +60,8 @@ class Viewer:
         self._own, self._seed = own, seed
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing, self._paused, self._trouble = threading.Event(), False, ""
-        self._server = open_server("fly it yourself")
-        self._scene = Scene(self._server, Params())
-        self._speed = 1.0
+        self.server = open_server("fly it yourself")
+        self._scene = Scene(self.server, Params())
         self._build()
         self.flight_by_hand = self._new_flight()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
@@ -69,7 +72,7 @@ class Viewer:
     @property
     def address(self) -> str:
         """Where the view is served."""
-        return f"http://{LOOPBACK}:{self._server.get_port()}"
+        return f"http://{LOOPBACK}:{self.server.get_port()}"
 
     def show(self, height: int = 640) -> "IFrame":
         """Return the view as a frame of the notebook; the browser must run on this machine."""
@@ -78,20 +81,43 @@ class Viewer:
         return IFrame(self.address, width="100%", height=height)
 
     def do(self, task: Callable[[HandFlight], Any]) -> Any:
-        """Run a task on the flight between two pictures, and return what it returns.
+        """Run a task on the flight between two pictures, and return what it returns or raise what it raises.
 
-        Raises FipError if the view is closed or does not answer within 10 s.
+        Raises FipError: the view is closed, or does not answer within ``PATIENCE``.
         """
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._tasks.put(lambda: answers.put(task(self.flight_by_hand)))
+        answer: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                answer.set_result(task(self.flight_by_hand))
+            except Exception as error:
+                answer.set_exception(error)
+
+        self._tasks.put(run)
         try:
-            return answers.get(timeout=0.0 if self._closing.is_set() else 10.0)
-        except queue.Empty:
+            return answer.result(0.0 if self._closing.is_set() else PATIENCE)
+        except TimeoutError:
             raise FipError("the view is closed: make a new Viewer()") from None
 
     def push(self, x: float, y: float) -> None:
         """Push the rod with an impulse (x, y) in N s."""
         self.do(lambda flight: flight.push(x, y))
+
+    def choose(self, **choices: Any) -> None:
+        """Begin a new flight with what is named of rod_length, used_length (m), estimator, controller and weights."""
+        controls = {
+            "rod_length": self._rod, "used_length": self._used, "estimator": self._estimator,
+            "controller": self._controller, "weights": self._weights,
+        }  # fmt: skip
+        if unknown := choices.keys() - controls.keys():
+            raise FipError(f"{', '.join(sorted(unknown))} cannot be chosen: {', '.join(controls)} can")
+
+        def set_all() -> None:
+            for name, value in choices.items():
+                controls[name].value = value
+            self._reset()
+
+        self.do(lambda flight: set_all())
 
     def pause(self, paused: bool = True) -> None:
         """Stop or continue time."""
@@ -110,10 +136,10 @@ class Viewer:
         """End flight, thread and server. A second call does nothing."""
         if not self._closing.is_set():
             self._closing.set()
-            self._thread.join(10.0)
+            self._thread.join(PATIENCE)
             self.flight_by_hand.close()
             with quiet():
-                self._server.stop()
+                self.server.stop()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -125,7 +151,7 @@ class Viewer:
 
     def _build(self) -> None:
         """Everything in the panel. A callback runs in a thread of the server: it leaves its task to the flight's."""
-        gui, truth = self._server.gui, Params().pendulum.length
+        gui, truth = self.server.gui, Params().pendulum.length
         self._status = gui.add_markdown("")
         with gui.add_folder("Push the rod"):
             self._impulse = gui.add_slider(
@@ -165,7 +191,7 @@ class Viewer:
         self._add_keys()
 
     def _add_keys(self) -> None:
-        add = self._server.gui.add_command
+        add = self.server.gui.add_command
         for direction, (key, x, y) in PUSHES.items():
             command = add(f"push the rod to {direction}", hotkey=key)
             command.on_trigger(lambda event, x=x, y=y: self._later(lambda: self._push(x, y)))
@@ -234,7 +260,7 @@ class Viewer:
             self._work()
             if not self._paused and not self._trouble:
                 self._fly(round(self.flight_by_hand.vehicle.rate / PICTURES))
-            with self._server.atomic():
+            with self.server.atomic():
                 self._draw(picture)
             picture += 1
             ahead = begun + picture * period - time.monotonic()

@@ -37,10 +37,9 @@ def landscapes(windows: list[Window], estimation) -> np.ndarray:
     return np.array([kalman.fitness(runs.lengths_of(estimation), window, estimation) for window in windows])
 
 
-@pytest.mark.parametrize("fitness", ["printed_posterior", "rk4_prior", "rk4_likelihood"])
-@pytest.mark.parametrize("noise", runs.NOISES)
-def test_the_interpolated_landscape_is_the_fitness_of_every_length(windows, fitness, noise):
-    params = runs.params_of("seat", fitness, noise, 60, 20)
+@pytest.mark.parametrize("fitness", ["printed_posterior", "printed_prior_unit", "rk4_prior", "rk4_likelihood"])
+def test_the_interpolated_landscape_is_the_fitness_of_every_length(windows, fitness):
+    params = runs.params_of("seat", fitness, 60, 20)
     direct = ga.landscape(windows[0], params)
     between = runs.interpolation(ga.Chromosome.of(params.estimation))
     found = between.fitness(landscapes(windows[:1], params.estimation)[0])
@@ -51,7 +50,7 @@ def test_the_interpolated_landscape_is_the_fitness_of_every_length(windows, fitn
 
 @pytest.mark.parametrize(("population", "generations"), [(60, 20), (12, 5), (7, 1)])
 def test_the_compiled_genetic_algorithm_is_the_library_s(windows, population, generations):
-    estimation = runs.params_of("seat", "rk4_likelihood", "calibrated", population, generations).estimation
+    estimation = runs.params_of("seat", "rk4_likelihood", population, generations).estimation
     values, chromosome = landscapes(windows, estimation), ga.Chromosome.of(estimation)
     found = runs.chain(values, estimation, False, np.random.default_rng(5))
     rng, expected = np.random.default_rng(5), []
@@ -66,7 +65,7 @@ def test_the_compiled_genetic_algorithm_is_the_library_s(windows, population, ge
 
 
 def test_a_kept_population_goes_on_from_window_to_window(windows):
-    estimation = runs.params_of("seat", "rk4_likelihood", "calibrated", 12, 3).estimation
+    estimation = runs.params_of("seat", "rk4_likelihood", 12, 3).estimation
     values, chromosome = landscapes(windows, estimation), ga.Chromosome.of(estimation)
     found = runs.chain(values, estimation, True, np.random.default_rng(8))
     rng, expected = np.random.default_rng(8), []
@@ -120,13 +119,13 @@ def test_no_answer_leaves_the_first_length_in_use():
 
 def test_a_probability_is_that_of_the_rounded_numbers():
     lengths, seconds, weights = np.full(20, 1.0), np.full(20, 12.0), np.ones(20)
-    at = study.log_probability(lengths, seconds, weights, (1.0, 12.0), (5e-4, 5e-3))
+    at = study.log_probability(lengths, seconds, weights, (1.0, 12.0), (5e-4, 5e-3), study.KERNEL)
     # 20 of 21 flights at the peak of both kernels
     peak = np.prod([2 * slack / (width * np.sqrt(2 * np.pi)) for slack, width in ((5e-4, 0.01), (5e-3, 0.25))])
     assert at == pytest.approx(np.log(20 / 21 * peak), abs=2e-3)
-    far = study.log_probability(lengths, seconds, weights, (1.5, 12.0), (5e-4, 5e-3))
+    far = study.log_probability(lengths, seconds, weights, (1.5, 12.0), (5e-4, 5e-3), study.KERNEL)
     assert far == pytest.approx(np.log(1e-3 / 1.8 * 1e-2 / 25.0 / 21), abs=1e-3)
-    never = study.log_probability(lengths, np.full(20, np.inf), weights, (1.0, 12.0), (5e-4, 5e-3))
+    never = study.log_probability(lengths, np.full(20, np.inf), weights, (1.0, 12.0), (5e-4, 5e-3), study.KERNEL)
     assert never == pytest.approx(far)
 
 
@@ -148,7 +147,8 @@ def synthetic(true: dict[str, int], size: int = 20) -> np.ndarray:
     for length, seconds in pairs:
         simulated = noise + np.array([[1.0 + length], [8.0 + seconds]])
         known[length, seconds] = sum(
-            study.log_probability(*simulated, np.ones(size), paper, (5e-4, 5e-3)) for paper in drawn.T.tolist()
+            study.log_probability(*simulated, np.ones(size), paper, (5e-4, 5e-3), study.KERNEL)
+            for paper in drawn.T.tolist()
         )
     return np.array([known[tuple(one)] for one in shift.reshape(2, -1).T.tolist()]).reshape(shape)
 
@@ -172,7 +172,9 @@ def rows(fit: np.ndarray) -> list[dict]:
     flat = fit.reshape(len(study.cases()), -1)
     names = [study.arm_name(arm) for arm in study.ARMS]
     return [
-        case | {f"fit_{n}": v for n, v in zip(names, line, strict=True)} | {f"within_{n}": 6.0 for n in names}
+        case
+        | {f"{column}_{n}": v for column in study.SENSITIVITY for n, v in zip(names, line, strict=True)}
+        | {f"within_{n}": 6.0 for n in names}
         for case, line in zip(study.cases(), flat.tolist(), strict=True)
     ]
 
@@ -183,7 +185,7 @@ def test_table_and_facts_state_the_posterior_of_the_rows():
     assert [line[0] for line in table.rows] == [name for name, _ in study.LEVELS.values()]
     assert all(len(line) == len(table.header) for line in table.rows)
     assert table.rows[0][2].startswith("seat 1") or table.rows[0][2].startswith("seat 9")
-    assert facts["combinations",] == facts["all", "numbers"] == str(324 * 216)
+    assert facts["combinations",] == facts["all", "numbers"] == str(22 * 864)
     assert int(facts["period", "5"]) > 95 and facts["window", "empty"] == "33"
     assert "period of the runs" in facts["questions",]
 

@@ -115,7 +115,7 @@ def check(controller: Callable[..., Any]) -> None:
     for row in found:
         up = "yes" if np.isnan(row.fell) else f"{row.fell:.1f} s"
         numbers = f"{100 * row.error:8.1f} cm{np.degrees(row.effort):8.1f} deg/s" if up == "yes" else ""
-        print(f"{row.flight:22}{row.controller:12}{up:12}{numbers}")
+        print(f"{row.flight:22}{row.controller:12}{up:12}{numbers}".rstrip())
     print(verdict(found))
 
 
