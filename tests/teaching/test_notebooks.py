@@ -79,9 +79,9 @@ def opening_faults(path: Path) -> list[str]:
     return [what for what, pattern in wanted.items() if not re.search(pattern, first, re.IGNORECASE)]
 
 
-def test_the_twelve_notebooks_are_numbered_without_a_gap():
+def test_the_thirteen_notebooks_are_numbered_without_a_gap():
     assert [path.name[:2] for path in NOTEBOOKS] == [f"{number:02}" for number in range(len(NOTEBOOKS))]
-    assert len(NOTEBOOKS) == 12
+    assert len(NOTEBOOKS) == 13
 
 
 @pytest.mark.parametrize("fault", [stored_outputs, too_long, broken_links, opening_faults], ids=lambda f: f.__name__)
