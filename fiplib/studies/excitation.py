@@ -255,7 +255,8 @@ def fig22_excitation(rows: Rows) -> Figure:
     medians (means of the paths), bands: 5 to 95 %. Top: paths of the first 3 s, a dot every 0.2 s, and the largest of
     |a| and |b| since the time before; grey: the lean that the design may take. Bottom: stated standard deviation,
     crosses: root mean square error, black: Cramer-Rao bound (6 flights), grey: the deviation designed for, at which
-    the excitation ends. All states what the bound allows; the design leans along both axes at once.
+    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to come to
+    10 mm, with less lean than the circle, and gains nothing near 5 mm, where the seat's height limits all of them.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     panels = figure.subplot_mosaic([["path", "lean"], ["known", "known"]], height_ratios=(1.0, 1.6))
