@@ -28,7 +28,7 @@ class NotYet(Exception):
         empty: whether the answer is a stub that is still to be filled in.
     """
 
-    def __init__(self, words: str, evidence: str = "", empty: bool = False):
+    def __init__(self, words: str, evidence: str = "", empty: bool = False) -> None:
         super().__init__(words)
         self.evidence, self.empty = evidence, empty
 
