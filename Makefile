@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test fuzz notebooks lab book pdf bags sweep bench paper latex lint audit clean
+.PHONY: help figures test fuzz notebooks lab book pdf film bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -50,8 +50,7 @@ fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
-# Jupyter refuses to run as root, which one is in a container, without --allow-root. In a container, with its port
-# published: make lab LAB='--ip=0.0.0.0 --no-browser'
+# Jupyter refuses to run as root, which one is in a container, without --allow-root. For a container see docs/faq.md.
 lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyter: make lab LAB='...')
 	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb \
 	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
@@ -59,6 +58,9 @@ lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyte
 
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
+
+film: .venv/installed ## make the film of the README from a recorded flight, docs/static/film.webp
+	$(PY) -m fiplib.teaching.film data/estimate-1.4 docs/static/film.webp
 
 pdf: .venv/installed ## print the book as one PDF, docs/build/fip.pdf (needs chromium)
 	@$(PY) docs/book.py --pdf

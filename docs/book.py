@@ -21,6 +21,9 @@ ROOT = DOCS.parent
 LIBRARY = ROOT / "fiplib"
 BUILD = DOCS / "build"
 
+RECORDED = Path("data/estimate-1.4")
+"""The flight that plays in docs/recorded-flight.md."""
+
 LINK = re.compile(r"(\]\()(?!\w+:|#)([^)#\s]+)(#[^)\s]*)?(\))")
 """A relative link in Markdown: its path and its anchor."""
 
@@ -132,6 +135,10 @@ def build(source: Path, html: Path, execute: bool = True, builder: str = "html")
     run = subprocess.run([*command, *options, str(source), str(html)], check=False)
     if run.returncode:
         raise BookError("Sphinx found the errors above")
+    if builder == "html":
+        page = ["-m", "fiplib", "view", str(ROOT / RECORDED), "--output", str(html / "_static/recorded-flight.html")]
+        if subprocess.run([sys.executable, *page], check=False).returncode:
+            raise BookError("the page of the recorded flight was not written, see above")
 
 
 TO_MODULES = re.compile(r"\[([^\]]+)\]\((?:\.\./)*api/[^)]+\)|^api/index\n", re.MULTILINE)

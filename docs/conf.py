@@ -131,6 +131,7 @@ def skip_fields_without_text(app, what, name, thing, skip, options) -> bool | No
 
 
 NEEDS_KERNEL = "Here are controls when the notebook runs in JupyterLab:", "make lab"
+LIVE_VIEW = re.compile(r"<iframe\s[^>]*src=[\"']http://127\.0\.0\.1")
 STYLESHEET = re.compile(r"<link[^>]+href=[\"']https?:[^>]+>")
 
 
@@ -146,9 +147,9 @@ def hide_long_values(app, doctree) -> None:
 
 
 def make_outputs_local(app, doctree) -> None:
-    """Outputs of notebooks: a sentence in place of widgets, and no style sheet from the network."""
+    """Outputs of notebooks: a sentence in place of widgets and live views, and no style sheet from the network."""
     for raw in list(doctree.findall(nodes.raw)):
-        if "vnd.jupyter.widget-view" in raw.astext():
+        if "vnd.jupyter.widget-view" in raw.astext() or LIVE_VIEW.search(raw.astext()):
             text, command = NEEDS_KERNEL
             sentence = nodes.paragraph("", "", nodes.Text(f"{text} "), nodes.literal("", command))
             raw.replace_self(nodes.note("", sentence))

@@ -5,11 +5,9 @@ function's docstring is its caption. The Makefile derives its lists from here. M
 theirs is made.
 """
 
-import argparse
-import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fiplib import studies
 from fiplib.params import FipError
@@ -55,6 +53,10 @@ PRODUCTS = {
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
     "fig21-field": Product("fiplib.studies.field:fig21_field", studies=("field",)),
+    "fig22-excitation": Product("fiplib.studies.excitation:fig22_excitation", studies=("excitation",)),
+    "fig20-choices": Product(
+        "fiplib.studies.choices:fig20_choices", studies=("choices", "choices_flown", "choices_exploring")
+    ),
     "table1-parameters": Product("fiplib.reproduction.tables:table1_parameters"),
     "table2-software": Product("fiplib.reproduction.tables:table2_software"),
     "table3-convergence": Product("fiplib.reproduction.tables:table3_convergence", bags=_ESTIMATES),
@@ -76,6 +78,17 @@ PRODUCTS = {
     "table18-field": Product(
         "fiplib.studies.field:table18_field", studies=("field",), benchmarks=("controller_ticks",)
     ),
+    "table19-flying-pendulum": Product(
+        "fiplib.studies.flying_pendulum:table19_flying_pendulum", studies=("flying_pendulum",)
+    ),
+    "table20-excitation": Product("fiplib.studies.excitation:table20_excitation", studies=("excitation",)),
+    "table21-sensitivity": Product(
+        "fiplib.reproduction.ledger:table21_sensitivity",
+        bags=("push-hover", "circle-0.8", *_ESTIMATES, "length-jump"),
+        studies=("ledger_seeds", "length_jumps"),
+        benchmarks=("solve_times", "deadlines"),
+    ),
+    "table17-choices": Product("fiplib.studies.choices:table17_choices", studies=("choices",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
 
@@ -101,13 +114,13 @@ def page() -> Product:
 
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
-    from fiplib.reproduction.claims import CLAIMS
+    from fiplib.reproduction.claims import JUDGED
 
     return Product(
         "fiplib.reproduction.ledger:evaluate",
-        bags=_united(claim.bags for claim in CLAIMS),
-        studies=_united([*(claim.studies for claim in CLAIMS), studies.FACTS]),
-        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+        bags=JUDGED.bags,
+        studies=_united((JUDGED.studies, studies.FACTS)),
+        benchmarks=JUDGED.benchmarks,
         parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
 
@@ -144,7 +157,7 @@ def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
 
 def write_gallery(data: Path, folder: Path) -> list[Path]:
     """Write the page of the paper's figures and its small images; the same input gives the same bytes."""
-    figures = {name: make(name, data) for name in gallery.NAMES}
+    figures: dict[str, Any] = {name: make(name, data) for name in gallery.NAMES}
     return gallery.write(figures, gallery.page(PRODUCTS, {name: caption(name) for name in figures}), folder)
 
 
@@ -160,51 +173,3 @@ def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
     if failures:
         raise FipError(f"written, with claims that cannot be judged: {'; '.join(failures)}")
     return paths
-
-
-# --- fip figures
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``fip figures``."""
-    parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
-    parser.add_argument("--list", action="store_true", help="list them with what they are made from")
-    parser.add_argument("--make", action="store_true", help="print the same for the Makefile")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
-    parser.add_argument(
-        "--generated", type=Path, default=Path("paper/generated"), help=f"folder for the LaTeX files of {LEDGER}"
-    )
-
-
-def run(options: argparse.Namespace) -> int:
-    """Make figures, tables and the ledger; return the exit status: 1 if some of several could not be made.
-
-    Raises FipError: no such product, or the only one cannot be made.
-    """
-    if options.make:
-        print(making.makefile(PRODUCTS, {GALLERY: page(), LEDGER: ledger()}), end="")
-        return 0
-    everything = PRODUCTS | {GALLERY: page(), LEDGER: ledger()}
-    if options.list:
-        for name, product in everything.items():
-            print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
-        return 0
-    if unknown := [name for name in options.names if name not in everything]:
-        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(everything)}")
-    failed = 0
-    for name in (names := options.names or list(everything)):
-        try:
-            if name == LEDGER:
-                paths = write_ledger(options.data, options.output, options.generated)
-            elif name == GALLERY:
-                paths = write_gallery(options.data, options.output)
-            else:
-                paths = write(name, make(name, options.data), options.output)
-            print("wrote", *paths, flush=True)
-        except FipError as error:  # the others are made all the same
-            if len(names) == 1:
-                raise
-            failed += 1
-            print(f"fip: {name}: {error}", file=sys.stderr)
-    return int(failed > 0)

@@ -8,7 +8,7 @@ after the delay and lag of the inner loop.
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -240,13 +240,16 @@ class ParallelEstimator(Protocol):
 
 
 class SimulatedEstimator:
-    """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
+    """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later.
+
+    ``function`` (window, params, rng) -> Estimate stands in for the one that the parameters name.
+    """
 
     seconds = math.nan
 
-    def __init__(self, params: Params, seed: int) -> None:
+    def __init__(self, params: Params, seed: int, function: Callable[..., Estimate] | None = None) -> None:
         self._params, self._seed, self._runs = params, seed, 0
-        self._estimate = estimator_of(params).function
+        self._estimate = function or estimator_of(params).function
         self._ready: tuple[int, Estimate] | None = None
         self.remarks: deque[tuple[str, str]] = deque()
 
@@ -315,27 +318,14 @@ class LengthUpdates:
             self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
 
 
-def fly(
-    scenario: Scenario,
-    recorder: Recorder | None = None,
-    progress: Callable[[float], None] | None = None,
-    vehicle: Callable[..., Plant] = Plant,
-) -> Flight:
-    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
-
-    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
-    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
-    """
-    params, rate = scenario.params, scenario.params.piloting.mocap_rate
-    tape = MemoryRecorder(recorder)
-    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
-    estimator = SimulatedEstimator(params, scenario.seed)
-    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
-    latency = round(params.simulation.mocap_latency * NANO)
-    status = Status.OPTIMAL
-
-    tape.numbers("truth_length", EPOCH, [params.pendulum.length])
+def frames(
+    scenario: Scenario, simulated: SimulatedVehicle, pilot: Pilot, lengths: LengthUpdates, tape: Recorder
+) -> Iterator[float]:
+    """Fly frame by frame, recording on ``tape``; yields the seconds flown. A fall ends it and is recorded."""
+    tape.numbers("truth_length", EPOCH, [scenario.params.pendulum.length])
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
+    rate, status = simulated.rate, Status.OPTIMAL
+    latency = round(scenario.params.simulation.mocap_latency * NANO)
     for index in range(round(scenario.duration * rate)):
         seconds = index / rate
         stamp = EPOCH + round(index * NANO / rate)
@@ -358,8 +348,27 @@ def fly(
             tape.event(*push.event(now))
         if simulated.plant.fallen:
             tape.event(*event_of_fall(now))
-            break
-        if progress and index % round(rate) == 0:
+            return
+        yield seconds
+
+
+def fly(
+    scenario: Scenario,
+    recorder: Recorder | None = None,
+    progress: Callable[[float], None] | None = None,
+    vehicle: Callable[..., Plant] = Plant,
+) -> Flight:
+    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
+
+    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
+    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
+    """
+    params, tape = scenario.params, MemoryRecorder(recorder)
+    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
+    estimator = SimulatedEstimator(params, scenario.seed)
+    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+    for index, seconds in enumerate(frames(scenario, simulated, pilot, lengths, tape)):
+        if progress and index % round(simulated.rate) == 0:
             progress(seconds)
     return tape.flight(scenario.name, scenario.metadata())
 

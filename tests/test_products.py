@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fiplib import products
+from fiplib.commands import figures as command
 from fiplib.params import FipError
 from fiplib.products import GALLERY, LEDGER, PRODUCTS
 from fiplib.reproduction import dependencies, gallery, making
@@ -26,8 +27,8 @@ FROM_PUSHES = {GALLERY, LEDGER, *(name for name, product in PRODUCTS.items() if 
 def figures(*arguments: str | Path) -> int:
     """``fip figures`` with these arguments."""
     parser = argparse.ArgumentParser()
-    products.add_arguments(parser)
-    return products.run(parser.parse_args(list(map(str, arguments))))
+    command.add_arguments(parser)
+    return command.run(parser.parse_args(list(map(str, arguments))))
 
 
 def test_every_name_of_the_registry_leads_somewhere():

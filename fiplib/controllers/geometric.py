@@ -59,7 +59,8 @@ class DisturbanceObserver:
     """The specific force that a model does not explain, from the velocity; horizontal, (2,) m/s^2."""
 
     def __init__(self, period: float) -> None:
-        self._period, self._velocity, self.force = period, None, np.zeros(2)
+        self._period, self.force = period, np.zeros(2)
+        self._velocity: NDArray | None = None
 
     def update(self, velocity: NDArray, acceleration: NDArray, bandwidth: float) -> NDArray:
         """Take a velocity and the model's acceleration from now on; returns the estimate."""

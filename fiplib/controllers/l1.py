@@ -17,8 +17,8 @@ MPC's own, whose two errors partly cancel.) At every tick, T apart,
     compensation  the MPC is given tilt + C(s) sigma_a^ and d + l/2 C(s) sigma_b^;   u = u_MPC - C(s) sigma_r^
 
 The piecewise constant adaptation law is as fast as the sampling, and short of a constant uncertainty by
-1 - exp(A_s T) = 4 %; robustness is left to the low-pass filter
-C(s) = w / (s + w), its bandwidth w one of ``ESTIMATION_SHARES`` of the rate at which the rod falls.
+1 - exp(A_s T) = 4 %. Robustness is left to the low-pass filter C(s) = w / (s + w), its bandwidth w one of
+``ESTIMATION_SHARES`` of the rate at which the rod falls.
 
 Source: D. Hanover, P. Foehn, S. Sun, E. Kaufmann, D. Scaramuzza, "Performance, precision, and payloads: adaptive
 nonlinear MPC for quadrotors", IEEE Robotics and Automation Letters, 2021, doi:10.1109/LRA.2021.3131690.
@@ -56,7 +56,7 @@ class L1AugmentedMPC:
         length = self.params.pendulum.length if length is None else float(length)
         measured = by_axis(state)
         z, offset = measured[:, [1, 3, 4]], measured[:, 2]
-        error = z - z if self._predicted is None else self._predicted - z
+        error = np.zeros_like(z) if self._predicted is None else self._predicted - z
         sigma = -error @ self._adaptation
         bandwidths = np.array(ESTIMATION_SHARES) * math.sqrt(2.0 * GRAVITY / length)
         # of (sigma_a, sigma_b, sigma_r), as the shares are

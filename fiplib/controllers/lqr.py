@@ -8,7 +8,7 @@ regulated by the gain that minimises
 with the two penalties of that design, those of the vehicle's position s and of the body rate u; every other weight is
 zero. Their ratio is ours (``WEIGHTS``). The nominal motion (z_0, u_0) of a trajectory with the acceleration p'' is that
 of slow motion, as if p'' stayed: tilt p''/g, rod d = l p''/(2 g), which the 2011 design solves for exactly on a circle;
-on one of 8 s it is 3 % too large. Neither bounds nor the loop's delay are known to it; rates are cut off at their limit.
+on one of 8 s it is 3 % too large. Bounds and the loop's delay are not known to it; rates are cut off at their limit.
 """
 
 import functools

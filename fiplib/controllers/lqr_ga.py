@@ -1,11 +1,11 @@
-"""The regulator of 2011 with all six weights chosen by the genetic algorithm of ``fiplib.ga``.
+"""The regulator of 2011 with the weights chosen by the genetic algorithm of ``fiplib.ga``.
 
-The weights of (s, s', d, d', tilt), with that of the input at 1 s^2/rad^2, are a chromosome of five times ``BITS`` bits,
-evenly spaced in their logarithms over ``SPAN``. Elites, roulette wheel, crossover and mutation are those of the length
-estimator. The fitness is the ``cost`` of the exact linear loop from tick to tick (``controllers.margins``), with delay,
-lag, seat, inertia and observer, for each of the ``LENGTHS`` in use on the rod of 1 m: it wants a push to be answered
-softly and soon, noise not to be amplified, and lengths that are wrong by a quarter to fly. ``WEIGHTS`` is what
-``python -m fiplib.controllers.lqr_ga`` prints, after a minute.
+The weights of (s, s', d, d', tilt), with that of the input at 1 s^2/rad^2, are a chromosome of five times ``BITS``
+bits, evenly spaced in their logarithms over ``SPAN``. Elites, roulette wheel, crossover and mutation are those of the
+length estimator. The fitness is the ``cost`` of the exact linear loop from tick to tick (``controllers.margins``), with
+delay, lag, seat, inertia and observer, for each of the ``LENGTHS`` in use on the rod of 1 m: a push is to be answered
+softly and soon, noise is not to be amplified, and lengths that are wrong by a quarter are to fly. ``WEIGHTS`` is what
+``python -m fiplib.controllers.lqr_ga`` prints, after some 40 s.
 """
 
 import functools
@@ -44,7 +44,7 @@ class _First(NamedTuple):
     gains: NDArray
 
 
-class _Regulator:
+class _Regulator:  # a margins.Regulator
     def __init__(self, weights: Weights) -> None:
         self._weights = weights
 

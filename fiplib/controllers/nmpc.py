@@ -22,6 +22,7 @@ nonlinear MPC: bridging the gap via the real-time iteration", Int. J. Control 93
 doi:10.1080/00207179.2016.1222553.
 """
 
+import math
 from dataclasses import replace
 
 import casadi as ca
@@ -83,9 +84,14 @@ def newton_step(params: Params, cost: Weights) -> ca.Function:
 
 
 class NonlinearMPC:
-    """Nonlinear MPC; it remembers its plan, which the next tick improves. ``params`` as for ``mpc.MPC``."""
+    """Nonlinear MPC; it remembers its plan, which the next tick improves.
+
+    ``params`` as for ``mpc.MPC``; ValueError where that has one, and for an infinite ``slack_weight``.
+    """
 
     def __init__(self, params: Params) -> None:
+        if math.isinf(params.control.slack_weight):
+            raise ValueError("control.slack_weight must be finite: here the state bounds are a cost")
         self.params, self._linear = params, MPC(params)
         self._step = newton_step(params, weights(params))
         blocks = {"h": self._step.sparsity_out(0), "a": self._step.sparsity_out(2)}
@@ -115,7 +121,7 @@ class NonlinearMPC:
     def _improved(self, plan: NDArray, state: NDArray, reference: ArrayLike, length: float) -> NDArray | None:
         """The plan one step on; ``None`` if it leaves the model's domain (a rod that lies down) or the solver fails."""
         hessian, gradient, steps, gap = self._step(plan, np.transpose(reference), length)
-        if not np.isfinite(np.array(gap)).all():
+        if not (np.isfinite(np.array(gap)).all() and np.isfinite(state).all()):
             return None
         low, high = -self._largest - plan, self._largest - plan
         low[:STATE] = high[:STATE] = state - plan[:STATE]

@@ -25,7 +25,7 @@ GUST_TIME = 1.0
 """Time constant of the gusts in s: our choice; a length scale of 2 m, a room's, in a wind of 2 m/s."""
 
 GYRATION = 0.2
-"""Radius of gyration about x and y over the wheelbase: our choice; motors at 0.35, battery and frame near the middle."""
+"""Radius of gyration about x and y over the wheelbase: our choice; motors at 0.35, the battery in the middle."""
 
 INTEGRAL_TIME = 0.074
 """Time in s in which a rate loop's integral takes a torque over: P over I gain of Betaflight 4.5 as it is delivered,

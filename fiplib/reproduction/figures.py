@@ -91,7 +91,7 @@ def fig2_vehicle() -> Figure:
     close.text(0, -0.1, f"$m$ = {vehicle.mass:g} kg", ha="center", va="top")
     close.text(0, -0.128, rf"$|\omega| \leq$ {np.degrees(vehicle.max_body_rate):g} deg/s", ha="center", va="top")
     close.set_title("vehicle, enlarged", pad=2)
-    figure.text(0.02, 0.015, "* our choice, drawn only; the rest: Table 1 and section 3 of the paper", fontsize=7)
+    figure.text(0.02, 0.015, "* our choice; the rest: Table 1 and section 3 of the paper", fontsize=7)
     return figure
 
 

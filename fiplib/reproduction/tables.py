@@ -127,7 +127,7 @@ def table3_convergence(*flights: Flight) -> Table:
     """Table 3: convergence time and error from three first lengths: the paper's, and ours of the recorded flights.
 
     One simulated flight from each first length, a rod of 1 m: converged from the time on from which the length in use
-    stays within 5 cm of the final one, the median of the last 5 s. Table 5 and Fig. 6 have the spread over 20 flights.
+    stays within 5 cm of the final one, the median of the last 5 s. Table 5 and Fig. 6 have the spread over many.
     """
     rows = []
     for flight, claim in zip(flights, ("G1", "G2", "G3"), strict=True):

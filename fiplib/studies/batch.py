@@ -57,7 +57,13 @@ def _fly(scenario: Scenario) -> Flight:
         MemoryRecorder(),
     )
     sampler = SAMPLERS[estimator_of(params).kind](params)
-    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+
+    def receive(_: int, length: float, deviation: float) -> float:
+        if newest is not None and math.isfinite(length + deviation):
+            flown.inform((newest - now[0]) / NANO, deviation)
+        return pilot.receive_estimate(length, deviation)
+
+    lengths = LengthUpdates(scenario, estimator, receive, tape)
     tape.numbers("truth_length", EPOCH, (params.pendulum.length,))
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     first, newest, fell = 0, None, False
@@ -129,6 +135,7 @@ class _Compiled:
         self.ticks[at] = range(len(at))
         horizon = np.arange(params.control.nodes + 1) * params.control.step
         nodes = ((arrival[at] - arrival[0]) / NANO)[:, None] + horizon
+        self._reference, self._nodes = scenario.reference, nodes
         self.references = np.ascontiguousarray(scenario.reference.at(nodes.ravel()).reshape(*nodes.shape, 10))
         schedule = np.tile(np.array([0.0, 0.0, 0.0, plant.x[19]]), (plant.substeps, 1))
         elapsed, tick_elapsed = (
@@ -145,6 +152,13 @@ class _Compiled:
         self._pilot = (observer.constants, observer.memory, loops, np.zeros(2))
         self._written = (self.frames, self.truths, self.states, self.commands, self.statuses)
         self._kernel, self._mpc = flight.fly, MPC(params)
+
+    def inform(self, seconds: float, deviation: float) -> None:
+        """Follow what the reference makes of it that the length is known, from the tick after ``seconds`` on."""
+        if (informed := self._reference.informed(seconds, deviation)) is not self._reference:
+            later = self._nodes[:, 0] > seconds
+            nodes, self._reference = self._nodes[later], informed
+            self.references[later] = informed.at(nodes.ravel()).reshape(*nodes.shape, 10)
 
     def fly(self, first: int, last: int, length: float) -> tuple[bool, int]:
         """Fly the frames ``first`` to ``last`` - 1 with a length in use, m; whether it fell, and the next frame."""

@@ -6,7 +6,7 @@ with noise; the pilot's observer is the paper's. A case is one flight of one con
 - "pushed": hover, at ``PUSHED`` s a push of 8 mN s on the rod's COM; with every length in use of ``LENGTHS``,
 - "circle": 0.4 m radius in 8 s,
 - "rotor": from 2 s on one of four rotors gives 20 % less,
-- "wind": 2 m/s along x, steady; "gusts": of 1 m/s standard deviation, no mean,
+- "wind": 2 m/s along x, steady, for 20 s; "gusts": of 1 m/s standard deviation, no mean,
 - "seat": as "pushed", by a pilot that does not know of the seat's 8 cm.
 
 The adaptive MPC is the paper's MPC with the pose estimator and the trusted hand-over; it starts from the shortest rod
@@ -52,23 +52,24 @@ FIELD: dict[str, tuple[str, dict[str, Any]]] = {
 """Every controller by name: how figure and table call it, and its parameters."""
 
 TRUE_LENGTH = 1.0
-LENGTHS = tuple(tenths / 10 for tenths in range(6, 17))
-SEEDS, FEW_SEEDS = 20, 10
-PUSHED, HINDERED, SETTLED = 5.0, 2.0, 5.0
-"""When the push and the hindered rotor come, and from when on a circle, wind and gusts are judged, s."""
+LENGTHS = (0.6, 0.8, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.8)
+SEEDS, FEW_SEEDS = 20, 5
+PUSHED, HINDERED, SETTLED = 8.0, 2.0, 5.0
+"""When the push and the hindered rotor come; when the beginning of a flight is over, s."""
 CALM = 0.02
 """A rod has settled when neither |a| nor |b| exceeds this any more, m."""
 
 _PUSH = (Push(PUSHED, (0.008, 0.0)),)
-FLIGHTS: dict[str, tuple[float, dict[str, Any], dict[str, Any]]] = {
-    "pushed": (10.0, {"pushes": _PUSH}, {}),
-    "circle": (10.0, {"reference": Circle(0.4, 8.0, start=0.0)}, {}),
-    "rotor": (6.0, {}, {"simulation__rotor_loss": 0.2, "simulation__rotor_loss_start": HINDERED}),
-    "wind": (9.0, {}, {"simulation__wind": (2.0, 0.0)}),
-    "gusts": (9.0, {}, {"simulation__gusts": 1.0}),
-    "seat": (10.0, {"pushes": _PUSH}, {"piloting__seat_height": 0.0}),
+FLIGHTS: dict[str, tuple[float, float, dict[str, Any], dict[str, Any]]] = {
+    "pushed": (12.0, SETTLED, {"pushes": _PUSH}, {}),
+    "circle": (10.0, SETTLED, {"reference": Circle(0.4, 8.0, start=0.0)}, {}),
+    "rotor": (6.0, HINDERED, {}, {"simulation__rotor_loss": 0.2, "simulation__rotor_loss_start": HINDERED}),
+    "wind": (20.0, 15.0, {}, {"simulation__wind": (2.0, 0.0)}),
+    "gusts": (9.0, SETTLED, {}, {"simulation__gusts": 1.0}),
+    "seat": (12.0, SETTLED, {"pushes": _PUSH}, {"piloting__seat_height": 0.0}),
 }
-"""Of every flight: how long it is in s, what of the scenario differs from a hover, and what of the parameters."""
+"""Of every flight: how long it is and from when on its error is judged, s; what of the scenario differs from a hover,
+and what of the parameters."""
 
 
 def seeds(controller: str) -> range:
@@ -91,13 +92,13 @@ def run(case: dict) -> dict[str, float | int]:
     """Fly one case.
 
     Returns:
-        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED``); flown (s until a fall). Of flights that
-        stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until the rod stays
-        within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body rates from 2 s to
-        ``PUSHED``, deg/s); error (RMS distance from the reference from ``SETTLED`` on, m); sunk (largest deviation of
-        the height from 1 s on, m).
+        survived (1 or 0, the whole flight); hovered (1 or 0, until ``PUSHED`` or the end); flown (s until a fall). Of
+        flights that stay up, nan of others: lean (largest |a| or |b| from 1 s on, m); settled (s from the push until
+        the rod stays within ``CALM``; nan where it does not, or is not pushed); rate (RMS of the two commanded body
+        rates from 2 s to ``SETTLED``, deg/s); error (RMS distance from the reference, see ``FLIGHTS``, m); sunk
+        (largest deviation of the height from 1 s on, m).
     """
-    seconds, scene, changes = FLIGHTS[case["flight"]]
+    seconds, judged, scene, changes = FLIGHTS[case["flight"]]
     params = Params().replace(
         pendulum__length=TRUE_LENGTH,
         piloting__initial_length=case["length"],
@@ -108,20 +109,20 @@ def run(case: dict) -> dict[str, float | int]:
     scenario = Scenario("field", "", seconds, params=params, seed=70_000 + int(case["seed"]), **scene)
     [flight] = fly_many([scenario])
     flown = seconds_flown(flight, scenario)
-    outcome = {"survived": int(flight.survived), "hovered": int(flown >= PUSHED), "flown": flown}
-    return outcome | (_scores(flight, scenario) if flight.survived else dict.fromkeys(SCORES, math.nan))
+    outcome = {"survived": int(flight.survived), "hovered": int(flown >= min(PUSHED, seconds)), "flown": flown}
+    return outcome | (_scores(flight, scenario, judged) if flight.survived else dict.fromkeys(SCORES, math.nan))
 
 
 SCORES = ("lean", "settled", "rate", "error", "sunk")
 """The columns of a flight that stays up."""
 
 
-def _scores(flight: Flight, scenario: Scenario) -> dict[str, float]:
+def _scores(flight: Flight, scenario: Scenario, judged: float) -> dict[str, float]:
     truth, time = flight.truth_state.values, flight.time(flight.truth_state)
     lean = np.abs(truth[:, [A, B]]).max(axis=1)
     off = np.hypot(*(truth[:, [X, Y]] - scenario.reference.at(time)[:, [X, Y]]).T)
     commanded = flight.time(flight.command)
-    rates = flight.command.values[(commanded >= 2.0) & (commanded < PUSHED), :2]
+    rates = flight.command.values[(commanded >= 2.0) & (commanded < SETTLED), :2]
     # the seat stands where the pilot takes it to be at the reference's height
     height = scenario.reference.height - (scenario.params.piloting.seat_height - scenario.params.seat_above_tracked)
     settled = math.nan
@@ -131,7 +132,7 @@ def _scores(flight: Flight, scenario: Scenario) -> dict[str, float]:
         float(lean[time >= 1.0].max()),
         settled,
         float(np.degrees(np.sqrt(np.mean(rates**2)))),
-        float(np.sqrt(np.mean(off[time >= SETTLED] ** 2))),
+        float(np.sqrt(np.mean(off[time >= judged] ** 2))),
         float(np.abs(truth[time >= 1.0, 10] - height).max()),
     )
     return dict(zip(SCORES, values, strict=True))
@@ -168,7 +169,7 @@ SCORED = (
     ("pushed", "lean", 100.0, "Lean after the push (cm)", 1),
     ("pushed", "settled", 1.0, "Settled after (s)", 2),
     ("circle", "error", 1000.0, "Error on the circle (mm)", 0),
-    ("wind", "error", 1000.0, "Offset in wind (mm)", 0),
+    ("wind", "error", 1000.0, "Offset after 15 s of wind (mm)", 0),
     ("gusts", "error", 1000.0, "Error in gusts (mm)", 0),
     ("rotor", "sunk", 1000.0, "Height lost, hindered (mm)", 0),
 )
@@ -176,9 +177,14 @@ SCORED = (
 
 
 def table18_field(rows: Rows, ticks: Quantities) -> Table:
-    """Table 18: a column for each controller: who stays up, how well, and how long a tick takes."""
+    """Table 18: a column for each controller: who stays up, how well, and how long a tick takes.
+
+    20 simulated flights of each kind, 10 of the nonlinear MPC, with the same plant, noise and seeds: a uniform rod of
+    1 m on a seat of 8 cm. Means with half their 95 % intervals; a length in use survives where most flights do. A
+    tick: median and 99th percentile of one call, measured on one machine.
+    """
     lines = []
-    for column, name in (("hovered", "Lengths up in hover (m)"), ("survived", "Lengths up after a push (m)")):
+    for column, name in (("hovered", f"Lengths up, hover {PUSHED:g} s (m)"), ("survived", "And after a push (m)")):
         lines.append((name, *(_span(surviving(rows, controller, column)) for controller in FIELD)))
     for flight, name in (("circle", "circle"), ("rotor", "hindered rotor"), ("wind", "wind"), ("gusts", "gusts")):
         cells = (share(rows, controller, flight) for controller in FIELD)
@@ -190,7 +196,7 @@ def table18_field(rows: Rows, ticks: Quantities) -> Table:
         lines.append((name, *(_interval(*(factor * value for value in one), decimals) for one in found)))
     for quantile in ("p50", "p99"):
         times = (ticks.get(f"{controller}_{quantile}_us", math.nan) for controller in FIELD)
-        lines.append((f"A tick, {quantile} (us)", *(number(time, 0) for time in times)))
+        lines.append((f"A tick, {quantile} (us)", *(number(time, 0) if time == time else NONE for time in times)))
     return Table(("", *(label for label, _ in FIELD.values())), lines, "l" + "r" * len(FIELD))
 
 
@@ -207,7 +213,12 @@ def _interval(value: float, low: float, high: float, decimals: int) -> str:
 
 
 def fig21_field(rows: Rows) -> Figure:
-    """Fig. 21: which lengths in use survive a push; and the commands, circles and offsets in wind."""
+    """Fig. 21: the controllers on the same plant, noise and seeds: with which lengths they survive, and how well.
+
+    20 simulated flights at each point, 10 of the nonlinear MPC, a uniform rod of 1 m on a seat of 8 cm. Above: the
+    percentage that stays up after a push of 8 mN s in hover, by the length in use. Below: RMS rate command in hover
+    with the push, RMS error on the 0.4 m circle (8 s), and in a steady wind of 2 m/s; means with 95 % intervals.
+    """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
     axes, labels = above.subplots(), [label for label, _ in FIELD.values()]
@@ -221,9 +232,9 @@ def fig21_field(rows: Rows) -> Figure:
             value, low, high = (factor * one for one in mean(rows, controller, flight, column))
             spread = [[value - low], [high - value]]
             axes.errorbar(value, place, xerr=spread, color=BLUE, marker="o", ms=3, elinewidth=0.8, ls="none")
+        axes.margins(x=0.1)
         axes.set(xlabel=name, ylim=(len(FIELD) - 0.5, -0.5))
         axes.set_xlim(left=0.0)
-        axes.margins(x=0.08)
         axes.grid(axis="y", lw=0.3, color=GREY, alpha=0.4)
         axes.tick_params(axis="y", length=0)
     panels[0].set_yticks(range(len(FIELD)), labels)

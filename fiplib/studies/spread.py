@@ -1,8 +1,8 @@
 """The spread behind the recorded flights of the length estimation: 20 seeds of each scenario, over time.
 
-A row is one flight of a scenario that ``data/`` holds, under a seed of table 5 (``ledger_seeds``); the recorded flight
-is one of them. Column ``QUANTITY_SECONDS`` is a quantity of ``QUANTITIES`` so many seconds after the start, nan before
-there is one and after a fall. 60 rows, about 3 minutes of one core.
+A row is one flight of a scenario that ``data/`` holds, under one of ``SEEDS``, among which is that of the recorded
+flight; flights of the same seed have the same noise. Column ``QUANTITY_SECONDS`` is a quantity of ``QUANTITIES`` so
+many seconds after the start, nan before there is one and after a fall. 60 rows, about 3 minutes of one core.
 """
 
 import dataclasses

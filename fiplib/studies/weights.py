@@ -150,11 +150,9 @@ def _ledger(scenario: Scenario) -> dict[str, float]:
     row = {}
     for id in (*NEEDED, *ALSO):
         claim = claims.BY_ID[id]
-        if claim.bags == (scenario.name,):
-            row |= {id: math.nan, f"holds_{id}": 0}
-            if flight.survived:
-                found = claim.judge(claim.paper, flight)
-                row |= {id: float(found.value), f"holds_{id}": int(found.verdict in claims.HELD)}
+        if claim.measure is not None and claim.bags == (scenario.name,):
+            value = claim.measure(flight) if flight.survived else math.nan
+            row |= {id: value, f"holds_{id}": int(claim.agree(value))}
     return row
 
 

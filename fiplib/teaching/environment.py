@@ -56,7 +56,8 @@ class FlyingPendulum(gymnasium.Env):
         seconds: float = 10.0,
         lengths: tuple[float, float] | None = None,
     ) -> None:
-        self._params, self._reference = params or Params(), reference or Hover()
+        self._params = params or Params()
+        self._reference: Reference = reference or Hover()
         self._frames, self._lengths = round(seconds * self._params.piloting.mocap_rate), lengths
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (10,), np.float64)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)

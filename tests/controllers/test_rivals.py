@@ -114,6 +114,11 @@ def test_where_the_model_ends_nonlinear_mpc_answers_as_mpc_and_says_so():
     assert controller.solve(0.1 * DIRECTION, STILL, 1.0).status is Status.OPTIMAL  # and it recovers
 
 
+def test_nonlinear_mpc_refuses_hard_state_bounds():
+    with pytest.raises(ValueError, match="slack_weight must be finite"):
+        NonlinearMPC(Params().replace(control__slack_weight=np.inf))
+
+
 WINDS = {
     "on the vehicle": {"simulation__wind": (1.0, -0.6), "simulation__drag": (0.26, 1e-9)},
     "on the rod": {"simulation__wind": (1.0, -0.6), "simulation__drag": (1e-9, 8e-3)},

@@ -36,8 +36,10 @@ TABLES = [name for name in PRODUCTS if name.startswith("table")]
 
 
 def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
-    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 20)]
-    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 17)]
+    for names, kind in ((DRAWN, "fig"), (TABLES, "table")):
+        numbers = [int(name.partition("-")[0].removeprefix(kind)) for name in names]
+        assert sorted(numbers) == list(range(1, len(names) + 1))
+    assert len(DRAWN) >= 22 and len(TABLES) >= 21
 
 
 @pytest.mark.parametrize("name", PRODUCTS)

@@ -12,7 +12,7 @@ import pytest
 
 from fiplib import products, replay, studies
 from fiplib.params import Params
-from fiplib.reproduction import claims, ledger
+from fiplib.reproduction import ledger, quantities
 
 ROOT = Path(__file__).parents[2]
 PAPER = ROOT / "paper"
@@ -27,7 +27,7 @@ ALLOWED = (
     (r"\\begin\{tabular\}(?:\[\w\])?\{[^}]*\}", "columns on the page"),
     (r"\\(?:vspace|hspace)\*?\{[^}]*\}", "distances on the page"),
     (r"\bROS~2\b", "the product's name"),
-    (r"\b[DCGR]\d(?:--[DCGR]\d)?\b", "rows of the ledger"),
+    (r"\b[DCGMRV]\d(?:--[DCGMRV]\d)?\b", "rows of the ledger"),
 )
 """What may hold digits in the body, and why."""
 
@@ -109,7 +109,7 @@ def judged_rows() -> list[ledger.Row]:
     """The ledger with a single window each refitted: the names of the macros are the same."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replay, "STRIDE", 1000)
-        claims.search_gaps.cache_clear()
+        quantities.search_gaps.cache_clear()
         return ledger.evaluate(ROOT / "data")
 
 

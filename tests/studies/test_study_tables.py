@@ -52,26 +52,34 @@ def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_tol
 
 
 def seeds_row(scenario: str, survived: int = 1, **values: float) -> dict:
-    columns = {name: math.nan for column in ledger_seeds.COLUMNS for name in (column, f"holds_{column}")}
+    columns = dict.fromkeys(ledger_seeds.COLUMNS, math.nan)
     return {"variant": "default", "scenario": scenario, "survived": survived, **columns, **values}
 
 
-def test_the_seeds_table_has_mean_spread_and_the_flights_in_which_the_row_holds():
-    rows = [
-        seeds_row("push-hover", largest_lean=0.05, holds_largest_lean=1),
-        seeds_row("push-hover", largest_lean=0.07, holds_largest_lean=0),
-        seeds_row("push-hover", survived=0),
-    ]
+def test_the_seeds_table_has_median_spread_and_the_flights_that_agree():
+    rows = [seeds_row("push-hover", push_lean=lean, kept=3.0) for lean in (0.05, 0.055, 0.06, 0.065, 0.07, 0.08)]
+    rows.append(seeds_row("push-hover", survived=0))
     lines = {row[0]: row[1:] for row in ledger_seeds.table5_seeds(rows).rows}
-    assert lines["D2"] == ("0.058", "0.060", "0.014", "0.050", "0.070", "m", "3", "1")
-    assert lines["D1"][-2:] == ("3", "2")
-    assert lines["C1"][1:5] == ("--",) * 4 and lines["C1"][-2:] == ("0", "0")
+    # of six values the interval of the median is from the least to the most; the seventh flight fell
+    assert lines["D2"] == ("0.058", "0.062", "0.050 to 0.080", "0.050", "0.080", "m", "7", "5 (0.29 to 0.96)")
+    assert lines["D1"][-2:] == ("7", "6 (0.42 to 1.00)")
+    assert lines["C1"][1:5] == ("--",) * 4 and lines["C1"][-2:] == ("0", "--")
 
 
 def test_the_seeds_table_is_in_the_order_of_the_ledger():
-    names = [row[0].split(",")[0] for row in ledger_seeds.table5_seeds([]).rows]
-    assert names[:4] == ["D1", "D2", "D3", "C1"] and names[-1] == "G6.fatal"
-    assert names.count("G4.late") == names.count("G5") == 3
+    names = [row[0] for row in ledger_seeds.table5_seeds([]).rows]
+    assert names[:4] == ["D1", "D2", "D3", "D4"] and names[-1] == "G7"
+    assert not {"M3", "G6.fatal", "R1.ga"} & set(names), "what is no number of one flight stands in the ledger only"
+
+
+def test_the_table_of_interpretations_has_the_default_first_and_both_starts():
+    flown = [{"final_length": length, "fluctuation": 0.02} for length in (0.98, 1.0, 1.04)]
+    default = [seeds_row(scenario, **values) for scenario in ledger_seeds.STARTS for values in flown]
+    readings = [row | {"variant": "every 5 s"} for row in default if row["scenario"] == "estimate-0.8"]
+    rows = ledger_seeds.table6_readings(default, readings).rows
+    assert [row[:2] for row in rows] == [(name, l0) for name in ("default", "every 5 s") for l0 in ("0.8", "1.4")]
+    assert rows[0][2:5] == ("3", "3", "1.000") and rows[0][6:8] == ("0.026", "0.020")
+    assert rows[0][8].startswith("2 (") and rows[3][2] == "0"
 
 
 def test_the_weights_table_counts_conditions_alone_and_together():

@@ -114,9 +114,9 @@ def opening_faults(path: Path) -> list[str]:
     return [what for what, pattern in wanted.items() if not re.search(pattern, first, re.IGNORECASE | re.MULTILINE)]
 
 
-def test_the_twelve_notebooks_are_numbered_without_a_gap():
+def test_the_thirteen_notebooks_are_numbered_without_a_gap():
     assert [path.name[:2] for path in NOTEBOOKS] == [f"{number:02}" for number in range(len(NOTEBOOKS))]
-    assert len(NOTEBOOKS) == 12
+    assert len(NOTEBOOKS) == 13
 
 
 FAULTS = [stored_outputs, too_long, open_figures, faults_of_numbering, broken_links, opening_faults]
