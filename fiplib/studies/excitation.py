@@ -349,7 +349,9 @@ def facts(rows: Rows) -> Facts:
     words = {"20": "twenty", "10": "ten", "5": "five"}
     found: Facts = {("seeds",): f"{len(SEEDS)}"}
     for (name, excitation), (wanted, word) in itertools.product(names.items(), words.items()):
-        found[name, word] = f"{Mean.of(times_to(rows, excitation, wanted)).value:.2f}"
+        reaching = Mean.of(times_to(rows, excitation, wanted))
+        found[name, word] = f"{reaching.value:.2f}"
+        found[name, word, "low"], found[name, word, "high"] = f"{reaching.low:.2f}", f"{reaching.high:.2f}"
         found[name, word, "reached"] = f"{reached(rows, excitation, wanted)}"
     for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow"), words.items()):
         gained = gain(rows, "designed", names[against], wanted)
