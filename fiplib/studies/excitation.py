@@ -355,8 +355,8 @@ def facts(rows: Rows) -> Facts:
         found[name, word, "reached"] = f"{reached(rows, excitation, wanted)}"
     for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow"), words.items()):
         gained = gain(rows, "designed", names[against], wanted)
-        for part, value in zip(("gain", "low", "high"), gained, strict=True):
-            found[against, word, part] = f"{value:.2f}"
+        for part, value in zip(((), ("low",), ("high",)), gained, strict=True):
+            found[against, word, "gain", *part] = f"{value:.2f}"
     for name, excitation in names.items():
         leans = [100 * row["lean"] for row in chosen(rows, excitation)]
         found[name, "lean"] = f"{max(leans):.2f}"
