@@ -174,9 +174,11 @@ def facts(rows: Rows) -> Facts:
         ("survived",): f"{sum(row['survived'] for row in rows):.0f}",
     }
     for rod, (word, misaligned) in itertools.product(RODS, (("aligned", 0), ("turned", 1))):
-        found[rod, word, "offset"] = f"{mean(rows, rod, misaligned, 0.0, 'offset')[0]:.1f}"
+        value, half = mean(rows, rod, misaligned, 0.0, "offset")
+        found[rod, word, "offset"], found[rod, word, "offset", "half"] = f"{value:.1f}", f"{half:.1f}"
         for column in ("error", "largest"):
-            values = [mean(rows, rod, misaligned, period, column)[0] for period in PERIODS]
-            found[rod, word, column, "least"] = f"{min(values):.1f}"
-            found[rod, word, column, "most"] = f"{max(values):.1f}"
+            means = [mean(rows, rod, misaligned, period, column) for period in PERIODS]
+            found[rod, word, column, "least"] = f"{min(value for value, _ in means):.1f}"
+            found[rod, word, column, "most"] = f"{max(value for value, _ in means):.1f}"
+            found[rod, word, column, "half"] = f"{max(half for _, half in means):.1f}"
     return found
