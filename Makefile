@@ -93,7 +93,7 @@ lint: .venv/installed ## check style, format, types and stripped notebooks
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
-	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
+	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout $(STRIP) --verify notebooks/*.ipynb)
 
 audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
 	@for lock in requirements.lock benchmarks/requirements.lock; do \
@@ -122,7 +122,18 @@ LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "f
 	@echo '$(LAB_SETTINGS)' > .venv/share/jupyter/lab/settings/overrides.json
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
+	@$(MAKE) --no-print-directory notebook-filter
 	@touch $@
+
+# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), at
+# the top of a work tree of our own only. A clone without .venv, or without this step, works on unstripped files.
+STRIP := --keep-id --extra-keys '$(foreach key,version codemirror_mode file_extension mimetype nbconvert_exporter \
+    pygments_lexer,metadata.language_info.$(key))'
+.PHONY: notebook-filter
+notebook-filter:
+	@if test -z "$$(git rev-parse --show-prefix 2>/dev/null || echo none)"; then \
+	    git config filter.notebooks.clean "if test -x $(PY); then $(PY) -m nbstripout $(STRIP); else cat; fi" && \
+	    git config filter.notebooks.smudge cat && git config filter.notebooks.required false; fi
 
 # The rivals of the benchmarks: their own environment and their own lock, so that figures and tests stay light.
 .venv-bench/locked: benchmarks/requirements.lock

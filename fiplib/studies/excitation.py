@@ -349,12 +349,14 @@ def facts(rows: Rows) -> Facts:
     words = {"20": "twenty", "10": "ten", "5": "five"}
     found: Facts = {("seeds",): f"{len(SEEDS)}"}
     for (name, excitation), (wanted, word) in itertools.product(names.items(), words.items()):
-        found[name, word] = f"{Mean.of(times_to(rows, excitation, wanted)).value:.2f}"
+        reaching = Mean.of(times_to(rows, excitation, wanted))
+        found[name, word] = f"{reaching.value:.2f}"
+        found[name, word, "low"], found[name, word, "high"] = f"{reaching.low:.2f}", f"{reaching.high:.2f}"
         found[name, word, "reached"] = f"{reached(rows, excitation, wanted)}"
     for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow"), words.items()):
         gained = gain(rows, "designed", names[against], wanted)
-        for part, value in zip(("gain", "low", "high"), gained, strict=True):
-            found[against, word, part] = f"{value:.2f}"
+        for part, value in zip(((), ("low",), ("high",)), gained, strict=True):
+            found[against, word, "gain", *part] = f"{value:.2f}"
     for name, excitation in names.items():
         leans = [100 * row["lean"] for row in chosen(rows, excitation)]
         found[name, "lean"] = f"{max(leans):.2f}"

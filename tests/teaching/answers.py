@@ -70,7 +70,7 @@ def differs(exercise: Exercise, answer: Answer) -> bool:
         try:
             with np.errstate(all="ignore"):
                 mine = values_of(answer(*trial))
-        except (ArithmeticError, ValueError, TypeError, IndexError, AttributeError):
+        except Exception:  # the right function makes nothing of such arguments
             return False
         if len(mine) != len(true):
             return True

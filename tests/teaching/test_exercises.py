@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 
 from fiplib.params import GRAVITY
-from fiplib.teaching.exercises import bags, closed_loop, ga, kalman, linearisation, mpc
+from fiplib.teaching.exercises import bags, closed_loop, ga, kalman, lagrangian, linearisation, mpc
 from fiplib.teaching.exercises.grading import Exercise
 from fiplib.teaching.exercises.results import NotYet
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 TEACHING = {
+    "01-lagrangian": lagrangian,
     "02-linearisation": linearisation,
     "03-mpc": mpc,
     "04-kalman-filter": kalman,
@@ -189,7 +190,33 @@ def all_coordinates(stamp, position):
     return np.append(True, (stamp[1:] > stamp[:-1]) & moved)
 
 
+def falls_from_rest(a, b, a_rate, b_rate, seat_acceleration, length, g=GRAVITY):
+    q = np.array([a, b, np.sqrt((length / 2) ** 2 - a**2 - b**2)]) / (length / 2)
+    alpha = seat_acceleration + np.array([0, 0, g])
+    return (q * (q @ alpha) - alpha)[:2]
+
+
+def small_angles(a, b, a_rate, b_rate, seat_acceleration, length, g=GRAVITY):
+    return 2 * g / length * np.array([a, b]) - seat_acceleration[:2]
+
+
 WRONG: dict[str, list[tuple[Callable, str]]] = {
+    "height_rate": [
+        (lambda a, b, va, vb, l: (a * va + b * vb) / np.sqrt(l**2 / 4 - a**2 - b**2), "the height falls"),
+        (lambda a, b, va, vb, l: -(a * va + b * vb) / np.sqrt(l**2 - a**2 - b**2), "the radius is l/2"),
+    ],
+    "mass_matrix": [
+        (lambda a, b, l: [[1, 0], [0, 1]], "the upright rod"),
+        (lambda a, b, l: np.eye(2) + np.diag([a**2, b**2]) / (l**2 / 4 - a**2 - b**2), "the product a b is missing"),
+    ],
+    "accelerations": [
+        (falls_from_rest, "the sphere's term is missing"),
+        (small_angles, "not changed by `a_rate`"),
+    ],
+    "inertia_factor": [
+        (lambda ratio: 3 / 4, "the uniform rod"),
+        (lambda ratio: (0.5 + ratio) ** 2 / (1 / 12 + ratio) / (1 + ratio), "about the seat it is 1/3"),
+    ],
     "growth_rate": [
         (lambda l, k2: np.sqrt(2 * GRAVITY / l), "the rod's inertia is missing"),
         (lambda l, k2: np.sqrt(GRAVITY / l / (1 + 4 * k2)), "the centre of mass lies at l/2"),
