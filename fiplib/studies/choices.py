@@ -7,7 +7,7 @@ is called convergence. ``choices_runs`` says how they are run: in 20 flights of 
 ``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``, and ``wide_ARM``, ``strict_ARM``
 the same under two other assumptions, ``SENSITIVITY``. ``within_ARM``: how many of its six independent numbers lie in
 the central 95 % of the simulated ones; each error is that of its length, so that six say all that nine do.
-22 rows, SECONDS_TO_STATE.
+22 rows, about 5 minutes of one core.
 """
 
 import itertools
@@ -239,7 +239,8 @@ def questions(found: Posterior) -> str:
     def named(choice: str) -> str:
         name, levels = LEVELS[choice]
         at = int(found.shares[choice].argmax())
-        return f"the {name} (most probably: {word(choice, levels[at])}, {100 * found.shares[choice][at]:.0f}" + r"\,\%)"
+        percent = f"{100 * found.shares[choice][at]:.0f}" if found.shares[choice][at] < 0.99 else "over 99"
+        return f"the {name} (most probably: {word(choice, levels[at])}, {percent}" + r"\,\%)"
 
     sentences = []
     if open_:
