@@ -279,9 +279,9 @@ def table17_choices(rows: Rows) -> Table:
 
 def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
     """Fig. 20: posterior share of each level of every unprinted choice, 20 flights of a 1 m rod a combination; a line
-    marks the share before. Middle: the most probable combination with its estimates fed back, four flights a start,
-    beside the paper's three. Below: share of 20 flights, with 95 % intervals, in which its remarks on the search hold, by
-    the size of a run. Four choices are settled; that the search is the limit holds for small runs at most."""
+    marks the share before: four choices are settled. Middle: the most probable combination with its estimates fed back,
+    four flights a start, beside the paper's three. Below: share of 20 flights, with 95 % intervals, in which its
+    remarks on the search hold, by the size of a run."""
     figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
     above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
     _draw_shares(above.subplots(), posterior(log_probabilities(rows)))
