@@ -29,13 +29,13 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test fuzz notebooks lab book bags sweep bench paper latex lint audit clean
+.PHONY: help figures test fuzz notebooks lab book pdf film bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-9s  %s\n", $$1, $$2 }' Makefile
 
-figures: $(FIGURE_FILES) $(CLAIM_FILES) ## make every figure and table of the paper, and print the claims ledger
+figures: $(FIGURE_FILES) $(GALLERY_FILES) $(CLAIM_FILES) ## make every figure and table of the paper, and print the claims ledger
 	@cat figures/claims.txt
 
 test: .venv/installed ## run the tests, and the notebooks with small settings, on every core
@@ -50,11 +50,20 @@ fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each 
 notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
-lab: .venv/installed ## open JupyterLab on the first notebook
-	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb
+# Jupyter refuses to run as root, which one is in a container, without --allow-root. For a container see docs/faq.md.
+lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyter: make lab LAB='...')
+	$(PY) -m jupyterlab --LabApp.default_url=/lab/tree/notebooks/00-start-here.ipynb \
+	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
+	    $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
+
+film: .venv/installed ## make the film of the README from a recorded flight, docs/static/film.webp
+	$(PY) -m fiplib.teaching.film data/estimate-1.4 docs/static/film.webp
+
+pdf: .venv/installed ## print the book as one PDF, docs/build/fip.pdf (needs chromium)
+	@$(PY) docs/book.py --pdf
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	$(PY) -m fiplib.reproduction.stored $(foreach name,$(BAGS),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
@@ -80,18 +89,22 @@ latex: ## check for the LaTeX that the report needs, and say what to install
 	    exit 1; \
 	fi
 
-lint: .venv/installed ## check style, format and stripped notebooks
+lint: .venv/installed ## check style, format, types and stripped notebooks
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
-	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout --verify notebooks/*.ipynb)
+	$(PY) -m mypy
+	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout $(STRIP) --verify notebooks/*.ipynb)
 
 audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
 	@for lock in requirements.lock benchmarks/requirements.lock; do \
 	    .venv-audit/bin/pip-audit --disable-pip --require-hashes --requirement $$lock || exit 1; done
 
-clean: ## remove what was made; data/ and .venv stay
-	rm -rf .make figures paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
+clean: ## remove what was made; data/, .venv and the page figures/README.md stay
+	rm -f $(foreach suffix,pdf png csv tex txt,figures/*.$(suffix))
+	rm -rf .make paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
+
+LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}}
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
 # last, so an interrupted step starts afresh.
@@ -105,9 +118,22 @@ clean: ## remove what was made; data/ and .venv stay
 
 .venv/installed: .venv/locked pyproject.toml
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@mkdir -p .venv/share/jupyter/lab/settings
+	@echo '$(LAB_SETTINGS)' > .venv/share/jupyter/lab/settings/overrides.json
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
+	@$(MAKE) --no-print-directory notebook-filter
 	@touch $@
+
+# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), at
+# the top of a work tree of our own only. A clone without .venv, or without this step, works on unstripped files.
+STRIP := --keep-id --extra-keys '$(foreach key,version codemirror_mode file_extension mimetype nbconvert_exporter \
+    pygments_lexer,metadata.language_info.$(key))'
+.PHONY: notebook-filter
+notebook-filter:
+	@if test -z "$$(git rev-parse --show-prefix 2>/dev/null || echo none)"; then \
+	    git config filter.notebooks.clean "if test -x $(PY); then $(PY) -m nbstripout $(STRIP); else cat; fi" && \
+	    git config filter.notebooks.smudge cat && git config filter.notebooks.required false; fi
 
 # The rivals of the benchmarks: their own environment and their own lock, so that figures and tests stay light.
 .venv-bench/locked: benchmarks/requirements.lock
@@ -140,6 +166,11 @@ stale = $(foreach name,$(PRODUCTS),$(if $(filter $(sources_$(name)),$?)$(call mi
 	$(PY) -m fiplib figures $(strip $(stale))
 	@mv $@.begun $@
 
+.make/gallery: $(sources_gallery) $(if $(call missing,$(GALLERY_FILES)),absent) | .venv/installed
+	@touch $@.begun
+	$(PY) -m fiplib figures gallery
+	@mv $@.begun $@
+
 .make/claims: $(sources_claims) $(if $(call missing,$(CLAIM_FILES)),absent) | .venv/installed
 	@touch $@.begun
 	$(PY) -m fiplib figures claims
@@ -148,6 +179,7 @@ stale = $(foreach name,$(PRODUCTS),$(if $(filter $(sources_$(name)),$?)$(call mi
 .PHONY: absent
 absent:
 $(FIGURE_FILES): .make/figures ;
+$(GALLERY_FILES): .make/gallery ;
 $(CLAIM_FILES): .make/claims ;
 
 # --- bags. They are data: nothing records one but `make bags`, or a `fly-` target by name.

@@ -6,6 +6,7 @@
 import argparse
 import ast
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -19,6 +20,9 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 LIBRARY = ROOT / "fiplib"
 BUILD = DOCS / "build"
+
+RECORDED = Path("data/estimate-1.4")
+"""The flight that plays in docs/recorded-flight.md."""
 
 LINK = re.compile(r"(\]\()(?!\w+:|#)([^)#\s]+)(#[^)\s]*)?(\))")
 """A relative link in Markdown: its path and its anchor."""
@@ -122,21 +126,60 @@ def write(path: Path, text: str) -> None:
 # --- build ----------------------------------------------------------------------------------------------------------
 
 
-def build(source: Path, html: Path, execute: bool = True) -> None:
+def build(source: Path, html: Path, execute: bool = True, builder: str = "html") -> None:
     """Run Sphinx, every warning an error. Raises BookError with what it printed on stderr."""
     shutil.rmtree(html, ignore_errors=True)
-    options = [] if execute else ["-D", "nb_execution_mode=off"]
+    options = ["-b", builder, *([] if execute else ["-D", "nb_execution_mode=off"])]
     doctrees = html.with_name(f"{html.name}-doctrees")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-E", "-c", str(DOCS), "-d", str(doctrees)]
     run = subprocess.run([*command, *options, str(source), str(html)], check=False)
     if run.returncode:
         raise BookError("Sphinx found the errors above")
+    if builder == "html":
+        page = ["-m", "fiplib", "view", str(ROOT / RECORDED), "--output", str(html / "_static/recorded-flight.html")]
+        if subprocess.run([sys.executable, *page], check=False).returncode:
+            raise BookError("the page of the recorded flight was not written, see above")
+
+
+TO_MODULES = re.compile(r"\[([^\]]+)\]\((?:\.\./)*api/[^)]+\)|^api/index\n", re.MULTILINE)
+"""In assembled Markdown, a link to a module's page, or the entry of all of them in the table of contents."""
+
+
+def print_pdf(source: Path, pdf: Path, execute: bool = True) -> None:
+    """Write the assembled book as one PDF, printed by Chromium; the modules' pages, for looking up, are left out.
+
+    Raises:
+        BookError: there is no Chromium, or what it or Sphinx printed on stderr.
+    """
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        raise BookError("the PDF is printed by Chromium, which is not installed (Debian: apt-get install chromium)")
+    shutil.rmtree(source / "api", ignore_errors=True)
+    for path in source.rglob("*.md"):
+        path.write_text(TO_MODULES.sub(r"\1", path.read_text(encoding="utf-8")), encoding="utf-8")
+    for path in source.rglob("*.ipynb"):
+        notebook = json.loads(path.read_text(encoding="utf-8"))
+        for cell in notebook["cells"]:
+            if cell["cell_type"] == "markdown":
+                cell["source"] = TO_MODULES.sub(r"\1", "".join(cell["source"]))
+        path.write_text(json.dumps(notebook), encoding="utf-8")
+    page = pdf.with_name(f"{pdf.stem}-page")
+    build(source, page, execute, "singlehtml")
+    root = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
+    options = ["--headless=new", "--disable-gpu", "--no-pdf-header-footer", "--virtual-time-budget=300000"]
+    command = [browser, *root, *options, f"--print-to-pdf={pdf}", (page / "index.html").as_uri()]
+    run = subprocess.run(command, check=False, capture_output=True, text=True)
+    if run.returncode or not pdf.is_file():
+        raise BookError(f"Chromium printed no PDF: {run.stderr.strip()}")
 
 
 # --- check ----------------------------------------------------------------------------------------------------------
 
 FETCHED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "video": "src"}
 """Elements whose target a browser loads by itself, with the attribute that names it; links to click are no such."""
+
+SPLIT_TAG = re.compile(r"\\begin\{split\}(?:(?!\\end\{split\}).)*\\tag", re.DOTALL)
+"""A numbered formula that MathJax would show as an error box."""
 
 SCRIPT_URL = re.compile(r"(?:import|require|fetch|src|href)\W{1,4}(https?://[^\s\"')]+)")
 """A script in a page that would load from the network: what widgets, plotting and animation libraries write."""
@@ -195,6 +238,8 @@ def problems(html: Path) -> Iterator[str]:
                     yield f"{where}: links to {target}, an anchor that does not exist"
         if STYLE_URL.search(path.read_text(encoding="utf-8")):
             yield f"{where}: a style fetches from the network"
+        if SPLIT_TAG.search(path.read_text(encoding="utf-8")):
+            yield f"{where}: a formula with a number breaks into lines, which shows an error instead"
         if page.loading:
             yield f"{where}: a script loads {page.loading[0]}"
     for path in sorted(html.rglob("*.css")):
@@ -207,11 +252,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python docs/book.py", description="Build the book and check it.")
     parser.add_argument("--output", type=Path, default=BUILD / "html", help="folder of the pages")
     parser.add_argument("--no-execution", action="store_true", help="show the notebooks' cells without their outputs")
+    parser.add_argument("--pdf", action="store_true", help="print it as one PDF beside that folder instead")
     options = parser.parse_args(arguments)
     html = options.output.resolve()
     source = html.with_name(f"{html.name}-source")
     try:
         assemble(source)
+        if options.pdf:
+            print_pdf(source, pdf := html.with_name("fip.pdf"), execute=not options.no_execution)
+            print(f"The book is in {pdf}")
+            return 0
         build(source, html, execute=not options.no_execution)
         if found := list(problems(html)):
             raise BookError("\n".join(found))

@@ -29,6 +29,9 @@ html_title = "fip"
 html_theme = "sphinx_book_theme"
 html_static_path = [str(Path(__file__).parent / "static")]
 html_css_files = ["book.css"]
+REPOSITORY = os.environ.get("FIP_REPOSITORY", "")
+"""Where the repository is published, as https://github.com/owner/name: pages then have buttons for Binder and Colab."""
+
 html_theme_options = {
     "show_toc_level": 2,
     "home_page_in_toc": True,
@@ -36,6 +39,19 @@ html_theme_options = {
     "use_fullscreen_button": False,
     "show_navbar_depth": 1,
     "navbar_persistent": [],
+    **(
+        {
+            "repository_url": REPOSITORY,
+            "repository_branch": "main",
+            "path_to_docs": ".",
+            "launch_buttons": {
+                "binderhub_url": "https://mybinder.org",
+                "colab_url": "https://colab.research.google.com",
+            },
+        }
+        if REPOSITORY
+        else {}
+    ),
 }
 html_sidebars = {"**": ["navbar-logo.html", "search-field.html", "sbt-sidebar-nav.html"]}
 html_copy_source = False
@@ -115,6 +131,7 @@ def skip_fields_without_text(app, what, name, thing, skip, options) -> bool | No
 
 
 NEEDS_KERNEL = "Here are controls when the notebook runs in JupyterLab:", "make lab"
+LIVE_VIEW = re.compile(r"<iframe\s[^>]*src=[\"']http://127\.0\.0\.1")
 STYLESHEET = re.compile(r"<link[^>]+href=[\"']https?:[^>]+>")
 
 
@@ -130,15 +147,23 @@ def hide_long_values(app, doctree) -> None:
 
 
 def make_outputs_local(app, doctree) -> None:
-    """Outputs of notebooks: a sentence in place of widgets, and no style sheet from the network."""
+    """Outputs of notebooks: a sentence in place of widgets and live views, and no style sheet from the network."""
     for raw in list(doctree.findall(nodes.raw)):
-        if "vnd.jupyter.widget-view" in raw.astext():
+        if "vnd.jupyter.widget-view" in raw.astext() or LIVE_VIEW.search(raw.astext()):
             text, command = NEEDS_KERNEL
             sentence = nodes.paragraph("", "", nodes.Text(f"{text} "), nodes.literal("", command))
             raw.replace_self(nodes.note("", sentence))
         elif STYLESHEET.search(raw.astext()):
             text = STYLESHEET.sub("", raw.astext())
             raw.replace_self(nodes.raw(text, text, format=raw["format"]))
+
+
+def keep_equation_numbers(app, doctree) -> None:
+    r"""A formula with a number of its own goes to the page as it is: Sphinx would put one with line breaks, be they
+    those of a matrix, into ``split``, where ``\tag`` is an error."""
+    for node in list(doctree.findall(nodes.math_block)):
+        if r"\tag" in node.astext() and not node.get("nowrap"):
+            node.replace_self(nodes.math_block("", rf"\[{node.astext()}\]", **node.attributes | {"nowrap": True}))
 
 
 def drop_modules_without_source(app, env) -> None:
@@ -154,4 +179,5 @@ def setup(app) -> None:
     app.connect("autodoc-skip-member", skip_fields_without_text)
     app.connect("doctree-read", hide_long_values)
     app.connect("doctree-read", make_outputs_local)
+    app.connect("doctree-read", keep_equation_numbers)
     app.connect("env-updated", drop_modules_without_source)

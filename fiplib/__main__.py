@@ -24,16 +24,17 @@ OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
 """What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
-EXTRAS |= {"pandas": "tables", "pyarrow": "tables"}
+EXTRAS |= {"pandas": "tables", "pyarrow": "tables", "viser": "notebooks"}
 """Packages that only some installations have, and the extra that brings each."""
 
 COMMANDS = {
-    "figures": ("fiplib.products", "make figures, tables and the claims ledger from recorded flights"),
+    "figures": ("fiplib.commands.figures", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.bag", "say what a recording holds and how long its rod is; cut, export, recover or convert it"),
+    "bag": ("fiplib.commands.bag", "say what a recording holds and how long its rod is; cut, export, recover, convert"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
+    "view": ("fiplib.teaching.viewer", "fly the simulated vehicle in a browser, or make a flight a page that plays"),
     "firmware": ("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
 }
 """Module of each subcommand, and its line in ``fip --help``."""

@@ -10,6 +10,7 @@ Frames: world with z up; body x forward, y left, z up. Quaternions are (x, y, z,
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import casadi as ca
@@ -193,7 +194,7 @@ def body_z_acceleration(q: ca.SX, body_rate: ca.SX, rate_dot: ca.SX) -> ca.SX:
     return in_body + q[3] * twice + ca.cross(q[:3], twice)
 
 
-def body_z_of(q: ArrayLike) -> NDArray:
+def body_z_of(q: Iterable[float]) -> NDArray:
     """Return the body's z axis in the world, (3,), of a unit quaternion (4,) as x, y, z, w: ``body_z`` in numbers."""
     return np.array(z_axis(*(float(value) for value in q)))
 
@@ -209,13 +210,13 @@ def seat_position(position: NDArray, orientation: NDArray, height: float) -> NDA
     return position + height * axis
 
 
-def inclination(direction: ArrayLike) -> float:
+def inclination(direction: Iterable[float]) -> float:
     """Return the angle of a direction (3,) from the vertical, rad."""
     x, y, z = (float(value) for value in direction)
     return math.atan2(math.hypot(x, y), z)
 
 
-def euler_angles(q: ArrayLike) -> tuple[float, float, float]:
+def euler_angles(q: Iterable[float]) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of R = Rx(phi) Ry(theta) Rz(psi), as in the paper, of a quaternion (x, y, z, w)."""
     x, y, z, w = (float(value) for value in q)
     phi = math.atan2(2 * (w * x - y * z), 1 - 2 * (x * x + y * y))

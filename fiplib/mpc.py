@@ -212,7 +212,7 @@ class MPC:
         state_weights: ArrayLike | None = None,
         input_weights: ArrayLike | None = None,
         terminal_weights: ArrayLike | None = None,
-    ):
+    ) -> None:
         control = params.control
         if not isinstance(control.nodes, int) or control.nodes < 1 or not 0.0 < control.horizon < math.inf:
             raise ValueError(

@@ -230,8 +230,18 @@ class Simulation:
     position_noise: float = quantity(0.2e-3, "m", "our choice: standard deviation per axis of a body", zero=True)
     attitude_noise: float = quantity(1e-3, "rad", "our choice: standard deviation per axis of a body", zero=True)
     initial_lean: float = quantity(3e-3, "m", "our choice: standard deviation of a, b at the start", zero=True)
+    # options, off by default: see kernels.disturbance
+    wind: tuple[float, float] = quantity((0.0, 0.0), "m/s", "steady wind (x, y)", within=(-20, 20), before=(0.0, 0.0))
+    gusts: float = quantity(0.0, "m/s", "standard deviation of the gusts per axis", within=(0, 20), before=0.0)
+    drag: tuple[float, float] = quantity(
+        (0.26, 8e-3), "N s/m", "of vehicle (Faessler 2018: 0.46/s) and rod (6 mm, 2 m/s) in wind", before=(0.26, 8e-3)
+    )
+    rotor_loss: float = quantity(0.0, "1", "share that a hindered rotor lacks", within=(0, 1), before=0.0)
+    rotor_loss_start: float = quantity(0.0, "s", "time from which on it is hindered", zero=True, before=0.0)
+    battery_sag: float = quantity(0.0, "1/s", "share of the thrust lost per second", within=(0, 1), before=0.0)
 
 
+@dataclass(frozen=True)
 class Groups:
     """The base of a frozen dataclass whose fields are groups of parameters, dataclasses themselves.
 
@@ -250,7 +260,7 @@ class Groups:
         for name, value in changes.items():
             group, _, key = name.partition("__")
             if key not in getattr(getattr(self, group, None), "__dataclass_fields__", ()):
-                known = [f"{g.name}__{f.name}" for g in dataclasses.fields(self) for f in dataclasses.fields(g.type)]
+                known = [f"{name}__{key}" for name, keys in self.to_dict(complete=True).items() for key in keys]
                 raise ValueError(f"unknown parameter {name!r}; parameters are {', '.join(known)}")
             groups.setdefault(group, {})[key] = _checked(f"{group}.{key}", value, getattr(self, group), key)
         changed = {group: dataclasses.replace(getattr(self, group), **values) for group, values in groups.items()}
@@ -294,7 +304,7 @@ class Groups:
         """
         own = {group: fields for group, fields in values.items() if group not in cls.ELSEWHERE}
         for group in dataclasses.fields(cls):
-            older = {f.name: f.metadata["before"] for f in dataclasses.fields(group.type)}
+            older = {f.name: f.metadata["before"] for f in dataclasses.fields(getattr(cls, group.name))}
             if group.name in own:
                 own[group.name] = {k: v for k, v in older.items() if v is not None} | own[group.name]
         return cls().replace(

@@ -68,7 +68,7 @@ class Pilot:
 
         _checked("params", params, Params)
         try:
-            start = np.array((*reference.at(np.zeros(1))[0], reference.height), dtype=float)
+            start = np.array((*reference.at(np.zeros(1))[0], reference.informed(0.0, math.nan).height), dtype=float)
         except Exception as error:  # whatever it is: no trajectory
             raise ValueError(f"no reference to follow: {type(reference).__name__} ({error})") from error
         if start.shape != (len(STATES) + 1,) or not np.isfinite(start).all():
@@ -157,13 +157,16 @@ class Pilot:
     def receive_estimate(self, length: float, deviation: float = math.nan) -> float:
         """Take a new estimate over by the policy ``piloting.handover``; returns the length used from the next tick on.
 
-        All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none.
+        All in m; a non-finite ``length`` is ignored, its standard ``deviation`` is nan if it has none. The reference is
+        ``informed`` of it, as of the last tick.
         """
         try:
             length, deviation = float(length), float(deviation)
         except (TypeError, ValueError) as error:
             raise ValueError(f"an estimate must be two numbers in m ({error})") from error
         self.length = self._handover.update(length, deviation)
+        if self._first is not None and self._last is not None and math.isfinite(length + deviation):
+            self.reference = self.reference.informed((self._last - self._first) / NANO, deviation)
         self._gains = self._feedback()  # prepares the MPC: here, and not within the next tick
         return self.length
 

@@ -1,18 +1,17 @@
-"""The registry: every figure, every table and the ledger, each with what it is made from; ``fip figures`` makes them.
+"""The registry: every figure and table, the page of the paper's figures, the ledger, each with what it is made from.
 
-A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``. The
-Makefile derives its lists from here. Modules are imported when something of theirs is made.
+A new figure or table is one function, sources in and ``Figure`` or ``Table`` out, and one line in ``PRODUCTS``; the
+function's docstring is its caption. The Makefile derives its lists from here. Modules are imported when something of
+theirs is made.
 """
 
-import argparse
-import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fiplib import studies
 from fiplib.params import FipError
-from fiplib.reproduction import making
+from fiplib.reproduction import gallery, making
 from fiplib.reproduction.sources import Product
 from fiplib.studies import STUDIES
 
@@ -23,18 +22,25 @@ if TYPE_CHECKING:
 
 
 _ESTIMATES = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
+_SPREAD = ("spread",)
 
 PRODUCTS = {
     "fig1-flight": Product("fiplib.reproduction.figures:fig1_flight", bags=("circle-0.8",)),
     "fig2-vehicle": Product("fiplib.reproduction.figures:fig2_vehicle"),
     "fig3-pushes": Product("fiplib.reproduction.figures:fig3_pushes", bags=("push-hover",)),
     "fig4-circle": Product("fiplib.reproduction.figures:fig4_circle", bags=("circle-0.8",)),
-    "fig5-estimation": Product("fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",)),
-    "fig6-convergence": Product("fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES),
+    "fig5-estimation": Product(
+        "fiplib.reproduction.figures:fig5_estimation", bags=("estimate-1.4",), studies=_SPREAD, behind=_SPREAD
+    ),
+    "fig6-convergence": Product(
+        "fiplib.reproduction.figures:fig6_convergence", bags=_ESTIMATES, studies=_SPREAD, behind=_SPREAD
+    ),
     "fig7-survival": Product("fiplib.studies.survival:fig7_survival", studies=("survival",)),
     "fig8-landscapes": Product("fiplib.studies.landscapes:fig8_landscapes", studies=("landscape_curves",)),
     "fig9-estimators": Product("fiplib.studies.estimators:fig9_estimators", studies=("estimators",)),
-    "fig10-intervals": Product("fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",)),
+    "fig10-intervals": Product(
+        "fiplib.studies.estimators:fig10_intervals", bags=("estimate-1.4",), studies=_SPREAD, behind=_SPREAD
+    ),
     "fig11-handover": Product("fiplib.studies.handover:fig11_handover", studies=("handover",)),
     "fig12-bound": Product("fiplib.studies.bounds:fig12_bound", studies=("bounds",)),
     "fig13-deadlines": Product("fiplib.studies.benchmarks:fig13_deadlines", benchmarks=("deadlines",)),
@@ -46,6 +52,8 @@ PRODUCTS = {
     "fig17-seat": Product("fiplib.studies.seat:fig17_seat", studies=("seat",)),
     "fig18-observers": Product("fiplib.studies.observers:fig18_observers", studies=("observers",)),
     "fig19-ablation": Product("fiplib.studies.ablation:fig19_ablation", studies=("ablation",)),
+    "fig21-field": Product("fiplib.studies.field:fig21_field", studies=("field",)),
+    "fig22-excitation": Product("fiplib.studies.excitation:fig22_excitation", studies=("excitation",)),
     "fig20-choices": Product(
         "fiplib.studies.choices:fig20_choices", studies=("choices", "choices_flown", "choices_exploring")
     ),
@@ -67,6 +75,19 @@ PRODUCTS = {
     "table14-seat": Product("fiplib.studies.seat:table14_seat", studies=("seat",)),
     "table15-observers": Product("fiplib.studies.observers:table15_observers", studies=("observers",)),
     "table16-ablation": Product("fiplib.studies.ablation:table16_ablation", studies=("ablation",)),
+    "table18-field": Product(
+        "fiplib.studies.field:table18_field", studies=("field",), benchmarks=("controller_ticks",)
+    ),
+    "table19-flying-pendulum": Product(
+        "fiplib.studies.flying_pendulum:table19_flying_pendulum", studies=("flying_pendulum",)
+    ),
+    "table20-excitation": Product("fiplib.studies.excitation:table20_excitation", studies=("excitation",)),
+    "table21-sensitivity": Product(
+        "fiplib.reproduction.ledger:table21_sensitivity",
+        bags=("push-hover", "circle-0.8", *_ESTIMATES, "length-jump"),
+        studies=("ledger_seeds", "length_jumps"),
+        benchmarks=("solve_times", "deadlines"),
+    ),
     "table17-choices": Product("fiplib.studies.choices:table17_choices", studies=("choices",)),
 }
 """Every figure (``fig...``) and table (``table...``) by name."""
@@ -75,15 +96,31 @@ LEDGER = "claims"
 """The name of the ledger among the products."""
 
 
+GALLERY = "gallery"
+"""The name of the page that shows the paper's figures."""
+
+
+def page() -> Product:
+    """The page of the paper's figures: made from what these are made from."""
+    shown = [PRODUCTS[name] for name in gallery.NAMES]
+    return Product(
+        "fiplib.reproduction.gallery:page",
+        bags=_united(product.bags for product in shown),
+        studies=_united(product.studies for product in shown),
+        parts=("fiplib.reproduction.gallery:write", *(product.address for product in shown)),
+        behind=_SPREAD,
+    )
+
+
 def ledger() -> Product:
     """The ledger: made from what its claims and the report's facts are read from."""
-    from fiplib.reproduction.claims import CLAIMS
+    from fiplib.reproduction.claims import JUDGED
 
     return Product(
         "fiplib.reproduction.ledger:evaluate",
-        bags=_united(claim.bags for claim in CLAIMS),
-        studies=_united([*(claim.studies for claim in CLAIMS), studies.FACTS]),
-        benchmarks=_united(claim.benchmarks for claim in CLAIMS),
+        bags=JUDGED.bags,
+        studies=_united((JUDGED.studies, studies.FACTS)),
+        benchmarks=JUDGED.benchmarks,
         parts=("fiplib.reproduction.ledger:write", *(f"{STUDIES[study]}:facts" for study in studies.FACTS)),
     )
 
@@ -103,9 +140,25 @@ def make(name: str, data: Path = Path("data")) -> "Figure | Table":
     return making.make(PRODUCTS[name], data, studies.check)
 
 
+def caption(name: str) -> str:
+    """Return the caption of a figure or table, plain text without its number: the docstring of its function.
+
+    Raises FipError: no such name.
+    """
+    if name not in PRODUCTS:
+        raise FipError(f"no figure {name!r}; there are {', '.join(PRODUCTS)}")
+    return making.caption(PRODUCTS[name])
+
+
 def write(name: str, made: "Figure | Table", folder: Path) -> list[Path]:
     """Write a figure as PDF and PNG, a table as CSV and LaTeX; the same input gives the same bytes."""
     return making.write(name, PRODUCTS[name], made, folder)
+
+
+def write_gallery(data: Path, folder: Path) -> list[Path]:
+    """Write the page of the paper's figures and its small images; the same input gives the same bytes."""
+    figures: dict[str, Any] = {name: make(name, data) for name in gallery.NAMES}
+    return gallery.write(figures, gallery.page(PRODUCTS, {name: caption(name) for name in figures}), folder)
 
 
 def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
@@ -120,49 +173,3 @@ def write_ledger(data: Path, folder: Path, generated: Path) -> list[Path]:
     if failures:
         raise FipError(f"written, with claims that cannot be judged: {'; '.join(failures)}")
     return paths
-
-
-# --- fip figures
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``fip figures``."""
-    parser.add_argument("names", nargs="*", metavar="NAME", help="which to make (default: all)")
-    parser.add_argument("--list", action="store_true", help="list them with what they are made from")
-    parser.add_argument("--make", action="store_true", help="print the same for the Makefile")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the bags (default: data)")
-    parser.add_argument("--output", type=Path, default=Path("figures"), help="folder to write to (default: figures)")
-    parser.add_argument(
-        "--generated", type=Path, default=Path("paper/generated"), help=f"folder for the LaTeX files of {LEDGER}"
-    )
-
-
-def run(options: argparse.Namespace) -> int:
-    """Make figures, tables and the ledger; return the exit status: 1 if some of several could not be made.
-
-    Raises FipError: no such product, or the only one cannot be made.
-    """
-    if options.make:
-        print(making.makefile(PRODUCTS, {LEDGER: ledger()}), end="")
-        return 0
-    everything = PRODUCTS | {LEDGER: ledger()}
-    if options.list:
-        for name, product in everything.items():
-            print(f"{name:22} {' '.join(product.names) or '(parameters only)'}")
-        return 0
-    if unknown := [name for name in options.names if name not in everything]:
-        raise FipError(f"no figure {unknown[0]!r}; there are {', '.join(everything)}")
-    failed = 0
-    for name in (names := options.names or list(everything)):
-        try:
-            if name == LEDGER:
-                paths = write_ledger(options.data, options.output, options.generated)
-            else:
-                paths = write(name, make(name, options.data), options.output)
-            print("wrote", *paths, flush=True)
-        except FipError as error:  # the others are made all the same
-            if len(names) == 1:
-                raise
-            failed += 1
-            print(f"fip: {name}: {error}", file=sys.stderr)
-    return int(failed > 0)

@@ -151,7 +151,7 @@ class TopicInfo(NamedTuple):
 
     topic: str
     type: str
-    count: int
+    count: int  # type: ignore[assignment]  # a name of tuple's, which nobody calls here
     role: str
     frames: tuple[str, ...] = ()
 
@@ -213,6 +213,10 @@ EPOCH = 1_767_225_600 * NANO
 """Start of every simulated flight, ns: a fixed date, so that a bag does not depend on the day it was made."""
 
 
+Numbers = Sequence[float] | NDArray
+"""A few numbers in a fixed order, which a recorder takes."""
+
+
 class Recorder(Protocol):
     """Where a flight is written to. Stamps are int nanoseconds; ``bags.BagRecorder`` writes a ROS 2 bag.
 
@@ -222,7 +226,7 @@ class Recorder(Protocol):
     failed: str | None = None
     """Why the recording stopped, in one sentence; ``None`` while it goes on."""
 
-    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+    def numbers(self, role: str, stamp: int, values: Numbers, received: int | None = None) -> None:
         """Take one message: the numbers that ``ROLES`` names, and for a pose the time at which it was received."""
         ...
 
@@ -230,13 +234,11 @@ class Recorder(Protocol):
         """Take what happened: ``level`` is a key of ``LEVELS``, ``kind`` and ``data`` are those of ``Event``."""
         ...
 
-    def pose(
-        self, body: str, stamp: int, received: int, position: Sequence[float], orientation: Sequence[float]
-    ) -> None:
+    def pose(self, body: str, stamp: int, received: int, position: Numbers, orientation: Numbers) -> None:
         """Pose of a body, exposed at ``stamp``, delivered at ``received``: (3,) in m, quaternion (4,) as x, y, z, w."""
         self.numbers(body, stamp, (*position, *orientation), received)
 
-    def command(self, stamp: int, rates: Sequence[float], thrust: float) -> None:
+    def command(self, stamp: int, rates: Numbers, thrust: float) -> None:
         """Body rates (3,) in rad/s and normalised thrust, 0 to 1. A bag carries thrust in single precision."""
         self.numbers("command", stamp, (*rates, thrust))
 
@@ -257,7 +259,7 @@ class MemoryRecorder(Recorder):
         self.values: defaultdict[str, list[tuple[float, ...]]] = defaultdict(list)
         self.events: list[Event] = []
 
-    def numbers(self, role: str, stamp: int, values: Sequence[float], received: int | None = None) -> None:
+    def numbers(self, role: str, stamp: int, values: Numbers, received: int | None = None) -> None:
         self.stamps[role].append(stamp)
         self.values[role].append(tuple(values))
         if received is not None:
@@ -283,16 +285,16 @@ def flight_of(
     events: Iterable[Event],
 ) -> Flight:
     """The flight of stamps (ns) and values by role, as a ``MemoryRecorder`` keeps them; the arrays are copied."""
-    stamps = {role: np.array(known, np.int64) for role, known in stamps.items()}
-    values = {role: np.array(known, np.float64) for role, known in values.items()}
-    for array in (*stamps.values(), *values.values()):
+    times = {role: np.array(known, np.int64) for role, known in stamps.items()}
+    arrays = {role: np.array(known, np.float64) for role, known in values.items()}
+    for array in (*times.values(), *arrays.values()):
         array.flags.writeable = False
-    bodies = {
-        body: Poses(stamps[body], stamps[f"{body} received"], values[body][:, :3], values[body][:, 3:])
+    bodies: dict[str, Any] = {
+        body: Poses(times[body], times[f"{body} received"], arrays[body][:, :3], arrays[body][:, 3:])
         for body in ("vehicle", "pendulum")
     }
-    series = {
-        role: Series.of(role, stamps[role], values[role]) if role in stamps else None
+    series: dict[str, Any] = {
+        role: Series.of(role, times[role], arrays[role]) if role in times else None
         for role in ROLES
         if role not in (*bodies, "events")
     }

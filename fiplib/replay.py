@@ -8,13 +8,13 @@ which windows another estimator would have been given. Whoever needs windows of 
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from fiplib.estimators.checks import why_no_length
 from fiplib.estimators.handover import HANDOVERS
-from fiplib.estimators.poses.knowledge import Knowledge, Told
+from fiplib.estimators.poses.knowledge import Knowledge
 from fiplib.estimators.windows import SAMPLERS, RawSampler, RawWindow, WindowSampler
 from fiplib.kalman import Window
 from fiplib.observers import Observer
@@ -34,10 +34,10 @@ MOST_SAMPLES = 250
 
 
 class TimedWindow(NamedTuple):
-    """A window of the estimator and the time in ns at which it was complete."""
+    """A window of the estimator, of its kind (``Window`` or ``RawWindow``), and the time in ns when it was complete."""
 
     stamp: int
-    window: Window | RawWindow
+    window: Any
 
 
 def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
@@ -153,7 +153,7 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
     return replace(flight, length=Series.of("length", np.array(stamps), np.array(rows)), notes=notes)
 
 
-def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Told) -> "PoseEstimate":
+def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Any) -> "PoseEstimate":
     """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.

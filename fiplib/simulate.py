@@ -8,9 +8,9 @@ after the delay and lag of the inner loop.
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from fiplib.dynamics import PLANT
 from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
+from fiplib.kernels.disturbance import Disturbance
 from fiplib.mpc import Status
 from fiplib.params import GRAVITY, NANO, Params
 from fiplib.pilot import Pilot, estimator_of
@@ -70,7 +71,7 @@ class Scenario:
             "scenario": self.name,
             "description": self.description,
             "seed": self.seed,
-            "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(self.reference)},
+            "reference": {"kind": type(self.reference).__name__, **dataclasses.asdict(cast(Any, self.reference))},
             "pushes": [{**push._asdict(), "impulse": list(push.impulse)} for push in self.pushes],
             "told_lengths": [list(told) for told in self.told_lengths],
             "params": self.params.to_dict(),
@@ -86,7 +87,7 @@ class Plant:
         lean: (a, b) in m at the start.
     """
 
-    def __init__(self, params: Params, position: ArrayLike, lean: ArrayLike = (0.0, 0.0)) -> None:
+    def __init__(self, params: Params, position: ArrayLike, lean: Iterable[float] = (0.0, 0.0)) -> None:
         from fiplib.kernels import poses, vehicle
 
         simulation, self._about = params.simulation, vehicle.plant_constants(params)
@@ -108,7 +109,7 @@ class Plant:
         self._schedule = np.zeros((self.substeps, 4))
         self._advance, self._fallen, self._true_state = vehicle.advance, vehicle.fallen, poses.true_state
 
-    def command(self, body_rate: ArrayLike, thrust: float, at: int | None = None) -> None:
+    def command(self, body_rate: Iterable[float], thrust: float, at: int | None = None) -> None:
         """Give a command (rad/s, N) computed from the frame exposed now; it acts after latency and delay.
 
         In real time ``at`` says the substep at which it acts instead, counted from the start.
@@ -116,7 +117,7 @@ class Plant:
         self._commands.append((self._substep + self.delay if at is None else at, np.array([*body_rate, thrust])))
 
     def advance(self, force: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """One frame of motion capture further, with a constant force (3,) in N on the rod's COM."""
+        """One frame further, with a constant force (3,) in N on the rod's COM, or a load of ``Disturbance``."""
         for row in range(self.substeps):
             while self._commands and self._commands[0][0] <= self._substep + row:
                 self._held = self._commands.popleft()[1]
@@ -180,7 +181,7 @@ class SimulatedVehicle:
     ``vehicle`` makes the plant of parameters, position and lean; another one flies what the pilot does not know of.
     """
 
-    def __init__(self, scenario: Scenario, vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant) -> None:
+    def __init__(self, scenario: Scenario, vehicle: Callable[..., Plant] = Plant) -> None:
         self._params, self.rate = scenario.params, scenario.params.piloting.mocap_rate
         self._rng = np.random.default_rng(scenario.seed)
         start = scenario.reference.at(np.zeros(1))[0]
@@ -189,6 +190,7 @@ class SimulatedVehicle:
         # the seat is where the pilot takes it to be at the trajectory's height
         self.plant = vehicle(self._params, (start[0], start[2], scenario.reference.height - mistaken), lean)
         self.pushes = PushSchedule(scenario.pushes, self.rate)
+        self.disturbance = Disturbance(self._params, scenario.seed)
         self._frames = 0
         self.flown: int | None = None
         """Frames since it was first commanded; ``None`` before."""
@@ -219,7 +221,7 @@ class SimulatedVehicle:
         if self.flown is None or self.landed:
             return None
         force, begun = self.pushes.at(self.flown)
-        self.plant.advance(force)
+        self.plant.advance(self.disturbance.load(force))
         self.flown += 1
         return begun
 
@@ -238,13 +240,16 @@ class ParallelEstimator(Protocol):
 
 
 class SimulatedEstimator:
-    """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later."""
+    """The estimator beside the controller: takes one window at a time and answers ``estimation_latency`` later.
+
+    ``function`` (window, params, rng) -> Estimate stands in for the one that the parameters name.
+    """
 
     seconds = math.nan
 
-    def __init__(self, params: Params, seed: int) -> None:
+    def __init__(self, params: Params, seed: int, function: Callable[..., Estimate] | None = None) -> None:
         self._params, self._seed, self._runs = params, seed, 0
-        self._estimate = estimator_of(params).function
+        self._estimate = function or estimator_of(params).function
         self._ready: tuple[int, Estimate] | None = None
         self.remarks: deque[tuple[str, str]] = deque()
 
@@ -313,27 +318,14 @@ class LengthUpdates:
             self._recorder.length(now, self._receive(now, length, math.nan), length, math.nan)
 
 
-def fly(
-    scenario: Scenario,
-    recorder: Recorder | None = None,
-    progress: Callable[[float], None] | None = None,
-    vehicle: Callable[[Params, ArrayLike, ArrayLike], Plant] = Plant,
-) -> Flight:
-    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
-
-    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
-    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
-    """
-    params, rate = scenario.params, scenario.params.piloting.mocap_rate
-    tape = MemoryRecorder(recorder)
-    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
-    estimator = SimulatedEstimator(params, scenario.seed)
-    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
-    latency = round(params.simulation.mocap_latency * NANO)
-    status = Status.OPTIMAL
-
-    tape.numbers("truth_length", EPOCH, [params.pendulum.length])
+def frames(
+    scenario: Scenario, simulated: SimulatedVehicle, pilot: Pilot, lengths: LengthUpdates, tape: Recorder
+) -> Iterator[float]:
+    """Fly frame by frame, recording on ``tape``; yields the seconds flown. A fall ends it and is recorded."""
+    tape.numbers("truth_length", EPOCH, [scenario.params.pendulum.length])
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
+    rate, status = simulated.rate, Status.OPTIMAL
+    latency = round(scenario.params.simulation.mocap_latency * NANO)
     for index in range(round(scenario.duration * rate)):
         seconds = index / rate
         stamp = EPOCH + round(index * NANO / rate)
@@ -356,8 +348,27 @@ def fly(
             tape.event(*push.event(now))
         if simulated.plant.fallen:
             tape.event(*event_of_fall(now))
-            break
-        if progress and index % round(rate) == 0:
+            return
+        yield seconds
+
+
+def fly(
+    scenario: Scenario,
+    recorder: Recorder | None = None,
+    progress: Callable[[float], None] | None = None,
+    vehicle: Callable[..., Plant] = Plant,
+) -> Flight:
+    """Fly a scenario in the simulator, through the pilot; returns the flight as ``bags.read`` gives it from its bag.
+
+    It is also written to ``recorder``. ``progress`` is called with the simulated seconds done, about once per simulated
+    second. ``vehicle`` is that of ``SimulatedVehicle``. A fall ends the flight early and is recorded as an event.
+    """
+    params, tape = scenario.params, MemoryRecorder(recorder)
+    simulated, pilot = SimulatedVehicle(scenario, vehicle), Pilot(params, scenario.reference)
+    estimator = SimulatedEstimator(params, scenario.seed)
+    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+    for index, seconds in enumerate(frames(scenario, simulated, pilot, lengths, tape)):
+        if progress and index % round(simulated.rate) == 0:
             progress(seconds)
     return tape.flight(scenario.name, scenario.metadata())
 

@@ -180,5 +180,18 @@ def test_the_readme_shows_both_commands_and_names_only_what_exists():
     # Links and paths in code style lead to files of the repository; what make writes is named by its target instead.
     paths = re.findall(r"\]\(([^)#:]+)\)", readme) + re.findall(r"`((?:fiplib|scripts|data|tests)/[\w./-]*)", readme)
     assert [path for path in paths if not (ROOT / path).exists()] == []
-    made = set(re.findall(r"`((?:fig|table)\d+-\w+)`", readme))
-    assert made == set(products.PRODUCTS)
+
+
+def test_the_map_names_every_product_and_only_files_that_exist():
+    text = (ROOT / "docs/map.md").read_text()
+    paths = re.findall(r"`((?:fiplib|scripts|data|tests|benchmarks)/[\w./-]*)", text)
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    assert set(re.findall(r"`((?:fig|table)\d+-[\w-]+)`", text)) == set(products.PRODUCTS)
+
+
+def test_the_table_of_the_readme_is_that_of_the_ledger():
+    from fiplib.reproduction import ledger
+
+    readme = (ROOT / "README.md").read_text()
+    table = re.search(r"<!-- headline: .*-->\n(.*?)<!-- end of headline -->", readme, re.DOTALL)
+    assert table and table[1].strip() == ledger.headline(ROOT / "data").strip()

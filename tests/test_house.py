@@ -26,8 +26,8 @@ LEVELS = [
     {"simulate", "replay"},
     {"reproduction", "flight"},
     {"studies", "teaching"},
-    {"bag"},
     {"products"},
+    {"commands"},
     {"__main__"},
 ]
 # What a level does not say: a bag is a recording and nothing else, and nobody depends on what flies a real vehicle.
@@ -97,7 +97,7 @@ def test_the_core_imports_only_the_rooms_that_fly():
     core = {name for name in modules() if (LIBRARY / f"{name.split('.')[1]}.py").exists()}
     wrong = [
         f"{module} imports {target}"
-        for module in core - {"fiplib.bag", "fiplib.products", "fiplib.__main__"}
+        for module in core - {"fiplib.products", "fiplib.__main__"}
         for target in imports()[module] - core
         if room(target) not in ("kernels", "observers", "references", "estimators", "controllers")
     ]
@@ -179,7 +179,9 @@ def test_the_eight_lines_of_the_readme_fly_and_find_the_length(tmp_path):
 
 
 # Packages of the extras: a wheel alone must not need them.
-EXTRAS = "IPython ipykernel ipympl ipywidgets jupyter sympy serial dask distributed sphinx pytest hypothesis mcap"
+EXTRAS = (
+    "IPython gymnasium ipykernel ipympl ipywidgets jupyter sympy serial dask distributed sphinx pytest hypothesis mcap"
+)
 
 
 def test_a_wheel_gives_the_command_and_reads_a_bag_without_the_extras(tmp_path):

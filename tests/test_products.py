@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,28 +12,29 @@ from pathlib import Path
 import pytest
 
 from fiplib import products
+from fiplib.commands import figures as command
 from fiplib.params import FipError
-from fiplib.products import LEDGER, PRODUCTS
-from fiplib.reproduction import dependencies, making
+from fiplib.products import GALLERY, LEDGER, PRODUCTS
+from fiplib.reproduction import dependencies, gallery, making
 from fiplib.reproduction.sources import BENCHMARKS
 from fiplib.simulate import SCENARIOS
 from fiplib.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
-FROM_PUSHES = {LEDGER, *(name for name, product in PRODUCTS.items() if "push-hover" in product.bags)}
+FROM_PUSHES = {GALLERY, LEDGER, *(name for name, product in PRODUCTS.items() if "push-hover" in product.bags)}
 
 
 def figures(*arguments: str | Path) -> int:
     """``fip figures`` with these arguments."""
     parser = argparse.ArgumentParser()
-    products.add_arguments(parser)
-    return products.run(parser.parse_args(list(map(str, arguments))))
+    command.add_arguments(parser)
+    return command.run(parser.parse_args(list(map(str, arguments))))
 
 
 def test_every_name_of_the_registry_leads_somewhere():
     for product in PRODUCTS.values():
         assert product.load().__doc__
-    everything = [*PRODUCTS.values(), products.ledger()]
+    everything = [*PRODUCTS.values(), products.page(), products.ledger()]
     assert {bag for product in everything for bag in product.bags} == set(SCENARIOS)
     assert {study for product in everything for study in product.studies} == set(STUDIES)
     assert {table for product in everything for table in product.benchmarks} == set(BENCHMARKS)
@@ -48,7 +50,7 @@ def test_the_command_of_a_product_begins_with_what_it_is_made_from():
 def test_list_names_each_product_with_its_sources(capsys):
     assert figures("--list") == 0
     listed = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert list(listed) == [*PRODUCTS, LEDGER]
+    assert list(listed) == [*PRODUCTS, GALLERY, LEDGER]
     assert "push-hover" in listed["fig3-pushes"] and "sweeps/bounds" in listed["fig12-bound"]
 
 
@@ -112,10 +114,11 @@ class Checkout:
         self.touch(2, ".venv/locked")
         self.touch(3, ".venv/installed")
         self.files = [f"figures/{name}{suffix}" for name in PRODUCTS for suffix in making.suffixes(name)]
+        self.files += ["figures/README.md", *(f"figures/small/{name}.png" for name in gallery.NAMES)]
         self.files += ["figures/claims.csv", "figures/claims.txt"]
         self.files += ["paper/generated/numbers.tex", "paper/generated/claims-table.tex"]
         self.make(".make/products.mk")
-        self.touch(5, *self.files, ".make/figures", ".make/claims")
+        self.touch(5, *self.files, ".make/figures", ".make/gallery", ".make/claims")
 
     def touch(self, second: int, *names: str | Path) -> None:
         """Let files have been written at a second after another."""
@@ -154,7 +157,7 @@ def checkout(original: Checkout) -> Iterator[Checkout]:
     (original.folder / ".make/products.mk").write_text(registry)
     original.touch(1, *kept, *products.ledger().files(), "benchmarks/sweep_rates.csv")
     original.touch(4, ".make/products.mk")
-    original.touch(5, *original.files, ".make/figures", ".make/claims")
+    original.touch(5, *original.files, ".make/figures", ".make/gallery", ".make/claims")
 
 
 def test_what_has_been_made_is_not_made_again(checkout):
@@ -168,9 +171,9 @@ def test_what_has_been_made_is_not_made_again(checkout):
         ("fiplib/flight/failsafe.py", []),
         ("fiplib/studies/survival.py", ["fig7-survival"]),
         ("fiplib/studies/imperfections.py", ["table11-imperfections", "claims"]),
-        ("data/push-hover/push-hover.mcap", [name for name in [*PRODUCTS, "claims"] if name in FROM_PUSHES]),
+        ("data/push-hover/push-hover.mcap", [name for name in [*PRODUCTS, "gallery", "claims"] if name in FROM_PUSHES]),
         ("benchmarks/sweep_rates.csv", ["table10-rates"]),
-        ("fiplib/products.py", [*PRODUCTS, "claims"]),
+        ("fiplib/products.py", [*PRODUCTS, "gallery", "claims"]),
     ],
 )
 def test_an_edit_remakes_what_it_can_change_and_nothing_else(checkout, edited, made):
@@ -181,6 +184,16 @@ def test_an_edit_remakes_what_it_can_change_and_nothing_else(checkout, edited, m
 def test_a_file_that_is_gone_is_made_again(checkout):
     (checkout.folder / "figures/table7-weights.tex").unlink()
     assert checkout.would_make() == ["table7-weights"]
+    checkout.touch(5, "figures/table7-weights.tex")
+    (checkout.folder / "figures/small/fig3-pushes.png").unlink()
+    assert checkout.would_make() == ["gallery"]
+    checkout.touch(5, "figures/small/fig3-pushes.png")
+
+
+def test_cleaning_keeps_the_page_of_the_figures_that_the_repository_holds(checkout):
+    removed = " ".join(line for line in checkout.make("--dry-run", "clean").stdout.splitlines() if "rm " in line)
+    assert "figures/*.pdf" in removed and "figures/small" not in removed
+    assert not re.search(r"figures(/|/\*|/\*\.md)?( |$)", removed)
 
 
 def test_a_new_reference_counts_from_then_on(checkout):
@@ -189,7 +202,7 @@ def test_a_new_reference_counts_from_then_on(checkout):
     study.write_text(f"from fiplib.flight import failsafe\n{study.read_text()}")
     checkout.touch(6, "fiplib/studies/survival.py")
     assert checkout.would_make() == ["fig7-survival"]
-    checkout.touch(7, *checkout.files, ".make/figures", ".make/claims")
+    checkout.touch(7, *checkout.files, ".make/figures", ".make/gallery", ".make/claims")
     checkout.touch(8, "fiplib/flight/failsafe.py")
     assert checkout.would_make() == ["fig7-survival"]
 

@@ -14,7 +14,9 @@ What it leaves out: bounds, noise, large angles. Margins are those of the loop b
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import control
 import numpy as np
@@ -143,7 +145,20 @@ def linear_plant(params: Params) -> tuple[NDArray, NDArray]:
     return a, b
 
 
-def closed_loop(used_length: float, params: Params, mpc: MPC | None = None, axis: int = 0) -> LinearLoop:
+class Gains(Protocol):
+    """The feedback gains of one axis: K_k in the rows of ``gains``, (N, 5), of which the loop uses the first."""
+
+    @property
+    def gains(self) -> NDArray: ...
+
+
+class Regulator(Protocol):
+    """What gives the gains of both axes for a length in use: the MPC, or another linear controller."""
+
+    def prepare(self, length: float) -> Sequence[Gains]: ...
+
+
+def closed_loop(used_length: float, params: Params, mpc: Regulator | None = None, axis: int = 0) -> LinearLoop:
     """The loop of one axis, an index into ``params.AXES``, when the MPC uses a length in m and the rod is another.
 
     ``params`` give the rod, weights, rates, delays and lags; ``mpc`` of the same weights serves for many lengths and

@@ -94,6 +94,9 @@ class TrustedHandOver:
         return self.used
 
 
-HANDOVERS = {"printed": PrintedHandOver, "trusted": TrustedHandOver}
+HANDOVERS: dict[str, type[PrintedHandOver] | type[TrustedHandOver]] = {
+    "printed": PrintedHandOver,
+    "trusted": TrustedHandOver,
+}
 """Policies by their name in ``piloting.handover``; each is made of (params, overlap), has ``used``, the length in use
 in m, and ``update``, which takes an estimate and gives the new one."""

@@ -181,5 +181,5 @@ class WindowSampler:
         return Window(np.array(self._states), inputs, self._step)
 
 
-SAMPLERS = {"states": WindowSampler, "raw": RawSampler}
+SAMPLERS: dict[str, type[WindowSampler] | type[RawSampler]] = {"states": WindowSampler, "raw": RawSampler}
 """What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

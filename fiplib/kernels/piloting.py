@@ -1,4 +1,4 @@
-"""The pilot around the MPC: the circle it follows, and the loops for altitude and yaw."""
+"""The pilot around the MPC: the trajectories it follows, and the loops for altitude and yaw."""
 
 import math
 
@@ -12,7 +12,7 @@ from fiplib.params import GRAVITY, Params
 
 @compiled("void(f8[::1], f8, f8, f8, f8, f8[:,::1])")
 def circle(times: NDArray, radius: float, period: float, start: float, ramp: float, states: NDArray) -> None:
-    """Write the states (n, 10) of ``pilot.Circle`` at times (n,) in s."""
+    """Write the states (n, 10) of ``references.Circle`` at times (n,) in s."""
     speed = 2.0 * math.pi / period
     states[:] = 0.0
     for n in range(len(times)):
@@ -23,6 +23,36 @@ def circle(times: NDArray, radius: float, period: float, start: float, ramp: flo
         rate = speed * u * u * (3.0 - 2.0 * u)
         cos, sin = radius * math.cos(angle), radius * math.sin(angle)
         states[n, 0], states[n, 1], states[n, 2], states[n, 3] = cos, -rate * sin, sin, rate * cos
+
+
+@compiled()
+def _step(u: float) -> tuple:
+    """A smooth step from 0 to 1 as u does, and its slope: at rest and without acceleration at both ends."""
+    u = min(max(u, 0.0), 1.0)
+    return u * u * u * (10.0 - u * (15.0 - 6.0 * u)), 30.0 * u * u * (1.0 - u) * (1.0 - u)
+
+
+@compiled("void(f8[::1], f8[::1], f8[:,::1], f8[:,::1])")
+def multisine(times: NDArray, about: NDArray, amplitudes: NDArray, states: NDArray) -> None:
+    """Write the states (n, 10) of ``references.Multisine`` at times (n,) in s.
+
+    ``about``: frequency in Hz, ramp, time of the fade and its length in s; ``amplitudes`` (2, 2 H) in m.
+    """
+    frequency, ramp, known, fade = about
+    states[:] = 0.0
+    for n in range(len(times)):
+        come, coming = _step(times[n] / ramp)
+        gone, going = _step((times[n] - known) / fade)
+        envelope = come * (1.0 - gone)
+        slope = coming / ramp * (1.0 - gone) - come * going / fade
+        for harmonic in range(amplitudes.shape[1] // 2):
+            speed = 2.0 * math.pi * frequency * (harmonic + 1)
+            cos, sin = math.cos(speed * times[n]), math.sin(speed * times[n])
+            for axis in range(2):
+                c, s = amplitudes[axis, 2 * harmonic], amplitudes[axis, 2 * harmonic + 1]
+                place, rate = c * cos + s * sin, speed * (s * cos - c * sin)
+                states[n, 2 * axis] += envelope * place
+                states[n, 2 * axis + 1] += envelope * rate + slope * place
 
 
 def pilot_constants(params: Params, height: float) -> NDArray:

@@ -13,11 +13,11 @@ FALLEN = math.cos(math.radians(60.0))
 
 
 def plant_constants(params: Params) -> NDArray:
-    """Return the constants of plant and motion capture, (9,).
+    """Return the constants of plant and motion capture, (11,).
 
     They are the masses of vehicle and rod in kg, half the rod's length in m, its ``inertia_factor``, the lags of rates
     and thrust and the plant's step in s, and the height of the seat above the vehicle's centre of mass and above the
-    point that motion capture tracks, m.
+    point that motion capture tracks, m; the drag of vehicle and rod in N s/m.
 
     Raises:
         ValueError: parameters that contradict each other: the plant cannot be integrated, or its rod does not stand.
@@ -41,7 +41,7 @@ def plant_constants(params: Params) -> NDArray:
             "simulation.initial_lean must be at most pendulum.length / 12 = "
             f"{pendulum.length / 12:.3g} m, not {simulation.initial_lean:g} m"
         )
-    return np.array((*masses, *rod, *lags, 1.0 / simulation.plant_rate, *seats))
+    return np.array((*masses, *rod, *lags, 1.0 / simulation.plant_rate, *seats, *simulation.drag))
 
 
 @compiled()
@@ -61,6 +61,13 @@ def _plant_rate(x: NDArray, command: NDArray, force: NDArray, about: NDArray, ra
     spin = x[13] * x[13] + x[14] * x[14] + x[15] * x[15]
     outward, thrust = m_p * radius * spin, x[19]
     f = (force[0], force[1], force[2])
+    blown = len(force) > 3 and force[3] == force[3]
+    if blown:  # the rod's drag at its COM
+        f = (
+            f[0] + about[10] * (force[3] - x[3] - radius * x[13]),
+            f[1] + about[10] * (force[4] - x[4] - radius * x[14]),
+            f[2] - about[10] * (x[5] + radius * x[15]),
+        )
     f_across = _across(f, q)
     a, b, c = x[16], x[17], x[18]
     total = (
@@ -68,6 +75,12 @@ def _plant_rate(x: NDArray, command: NDArray, force: NDArray, about: NDArray, ra
         thrust * body_z[1] + f[1] + outward * q[1] - factor * f_across[1],
         thrust * body_z[2] + f[2] + outward * q[2] - factor * f_across[2],
     )
+    if blown:
+        total = (
+            total[0] + about[9] * (force[3] - x[3]),
+            total[1] + about[9] * (force[4] - x[4]),
+            total[2] - about[9] * x[5],
+        )
     if about[7] > 0.0:  # the seat's share, m h e''; without it not an operation changes
         push = m * about[7]
         u, v, z = a * c + (command[1] - b) / rate_lag, b * c - (command[0] - a) / rate_lag, -(a * a + b * b)
@@ -105,13 +118,21 @@ def advance(x: NDArray, commands: NDArray, force: NDArray, about: NDArray) -> No
     Args:
         x: laid out by ``dynamics.PLANT``; quaternion and direction are made units again after each step.
         commands: (n, 4), body rates in rad/s and thrust in N.
-        force: on the rod's COM, (3,) in N.
+        force: on the rod's COM, (3,) in N; or a load, ``disturbance.SIZE`` numbers, without wind if that is nan.
         about: ``plant_constants``.
     """
     step = about[6]
     k1, k2, k3, k4, at = np.empty(20), np.empty(20), np.empty(20), np.empty(20), np.empty(20)
+    given = np.empty(4)
     for row in range(len(commands)):
         command = commands[row]
+        if len(force) > 3:  # before the loop's lag: the same as an offset of the rate itself
+            for n in range(4):
+                given[n] = command[n]
+            given[0] += force[5]
+            given[1] += force[6]
+            given[3] *= force[7]
+            command = given
         _plant_rate(x, command, force, about, k1)
         for n in range(20):
             at[n] = x[n] + step / 2.0 * k1[n]

@@ -24,7 +24,7 @@ def files(*addresses: str) -> list[Path]:
     while waiting:
         if (address := waiting.pop()) not in seen:
             seen.add(address)
-            waiting += _references(*address.split(":"))
+            waiting += _references(*address.split(":")[:2])  # a class with all its functions
     modules = map(_module, {address.partition(":")[0] for address in seen})
     return sorted(module.path for module in modules if module)
 

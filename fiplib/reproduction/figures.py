@@ -1,6 +1,7 @@
 """Every figure of the paper, from recorded flights: flights in, ``Figure`` out. Nothing is simulated here.
 
-A new figure is one function and one line in ``products.PRODUCTS``; ``fip figures NAME`` writes it.
+A new figure is one function and one line in ``products.PRODUCTS``; ``fip figures NAME`` writes it. The function's
+docstring is the caption (``products.caption``): plain text, without markup.
 """
 
 from collections.abc import Sequence
@@ -14,12 +15,20 @@ from scipy.spatial.transform import Rotation
 from fiplib.dynamics import seat_position
 from fiplib.params import STATES, Params
 from fiplib.recording import BagError, Flight
-from fiplib.reproduction import claims, measures
-from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, origin
+from fiplib.reproduction import bands, claims, measures
+from fiplib.reproduction.sources import Rows
+from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, LIGHT, ORANGE, origin
+
+RMS_SECONDS = 0.25
+"""Span of the running RMS of the rate commands, s: 30 commands."""
 
 
 def fig1_flight(flight: Flight) -> Figure:
-    """Fig. 1: the flight in space, vehicle, rod and circle, one snapshot a second over the last lap."""
+    """Fig. 1: the flight in space on the circle of 0.8 m radius: one simulated flight, its last lap of 9 s.
+
+    Vehicle and rod are drawn once a second. The rod leans inwards, as a cyclist does, so its centre of mass makes the
+    smaller circle; along y, whose weights are light, the vehicle stays inside its reference.
+    """
     figure = Figure(figsize=(COLUMN, 2.9))
     axes = figure.add_axes((-0.05, -0.04, 1.02, 1.13), projection="3d")
     time, (radius, height, period) = flight.time(flight.vehicle), measures.circling(flight)
@@ -54,7 +63,10 @@ def fig1_flight(flight: Flight) -> Figure:
 
 
 def fig2_vehicle() -> Figure:
-    """Fig. 2: vehicle and rod to scale, with the parameters of Table 1; the vehicle again, enlarged."""
+    """Fig. 2: vehicle and rod to scale, with the paper's parameters (Table 1), and the vehicle enlarged.
+
+    The seat is 8 cm above the frame's centre. The rod of 1 m is six times as long as the vehicle is wide.
+    """
     params = Params()
     vehicle, rod = params.vehicle, params.pendulum
     figure = Figure(figsize=(COLUMN, 3.3))
@@ -79,12 +91,19 @@ def fig2_vehicle() -> Figure:
     close.text(0, -0.1, f"$m$ = {vehicle.mass:g} kg", ha="center", va="top")
     close.text(0, -0.128, rf"$|\omega| \leq$ {np.degrees(vehicle.max_body_rate):g} deg/s", ha="center", va="top")
     close.set_title("vehicle, enlarged", pad=2)
-    figure.text(0.02, 0.015, "* our choice, drawn only; the rest: Table 1 and section 3 of the paper", fontsize=6)
+    figure.text(0.02, 0.015, "* our choice; the rest: Table 1 and section 3 of the paper", fontsize=7)
     return figure
 
 
 def fig3_pushes(flight: Flight) -> Figure:
-    """Fig. 3: three pushes in hover. The dashed lines are the paper's largest deviation (D2)."""
+    """Fig. 3: three pushes of the rod in hover (dotted lines): one simulated flight with a rod of 1 m.
+
+    From above: the position of the seat, the offsets of the rod's centre of mass, the vehicle's tilt, and the running
+    RMS over 0.25 s of the commanded body rates. Dashed: the largest offset that the paper reports, 5.8 cm, and the
+    bound of the rates, 100 deg/s; grey: the 2 s in which the paper's rod settles after a push. Our pushes were chosen
+    to lead about as far as the paper's. The rod comes back from there, in half a second to a second more than the
+    paper's; the vehicle takes up to 5 s, as its position weighs little.
+    """
     figure, panels = _panels(flight, 4, 3.9)
     _plot_states(panels[0], flight, ("x", "y"), "position", scale=100, unit="cm")
     _plot_states(panels[1], flight, ("a", "b"), "pendulum", scale=100, unit="cm")
@@ -92,38 +111,51 @@ def fig3_pushes(flight: Flight) -> Figure:
     _plot_states(panels[2], flight, ("phi", "theta"), "tilt", scale=np.degrees(1), unit="deg")
     panels[2].set_ylim(top=1.6 * panels[2].get_ylim()[1])  # the legend has a strip of its own
     _plot_rates(panels[3], flight)
-    for start in measures.push_times(flight):
+    for number, start in enumerate(measures.push_times(flight)):
         for axes in panels:
             axes.axvline(start, color=GREY, lw=0.6, ls=":")
+        label = None if number else "paper settles"
+        panels[1].axvspan(start, start + claims.PAPER["D3"], ymax=0.78, color=LIGHT, lw=0, zorder=0, label=label)
+    panels[1].legend(loc="upper right", ncols=4)
     return figure
 
 
 def fig4_circle(flight: Flight) -> Figure:
-    """Fig. 4: tracking of the 0.8 m circle. The dashed lines are the paper's largest deviation (C1)."""
+    """Fig. 4: the circle of 0.8 m radius and 9 s: one simulated flight with a rod of 1 m, whose length is known.
+
+    Dashed black: the paper's largest error of y, 0.2 m, and its largest offset of the rod, 2.5 cm. As in the paper x
+    keeps to its reference and y, whose weights are light, falls short of its own; the offsets stay below the paper's.
+    """
     figure, panels = _panels(flight, 4, 3.9)
     for axes, name in zip(panels, "xy", strict=False):
         _plot_tracking(axes, flight, name)
     _plot_errors(panels[2], flight)
+    _band(panels[2], 100 * claims.PAPER["C2.y"], "paper's $y$")
     _plot_states(panels[3], flight, ("a", "b"), "pendulum", scale=100, unit="cm")
     _band(panels[3], 100 * claims.PAPER["C1"], "paper's largest")
     return figure
 
 
-def fig5_estimation(flight: Flight) -> Figure:
-    """Fig. 5: tracking of the 0.4 m circle while the length is estimated from l0 = 1.4 m."""
+def fig5_estimation(flight: Flight, spread: Rows = ()) -> Figure:
+    """Fig. 5: the 0.4 m circle (8 s) while the length is estimated from l0 = 1.4 m; the rod has 1 m.
+
+    Lines: the recorded flight (simulated), with the length that each run of the genetic algorithm answers (dots) and
+    the one in use, their median. Bands: 5 to 95 % of 20 simulated flights, of which the recorded one is one, with
+    other noise only. Dashed: when the paper's length converged, at 12.43 s, and the length that it came to, 1.0 m.
+    Nothing is known before the first window of 55 samples is full, at 5.5 s. The first answers are 6 to 16 cm short;
+    from 12 s on the length in use lies between 0.93 and 1.04 m, and x is tracked as it is with the true length.
+    """
     figure, panels = _panels(flight, 4, 4.3)
+    known = bands.flights(spread, flight.path.name)
     for axes, name in zip(panels, "xy", strict=False):
         _plot_tracking(axes, flight, name)
-    _plot_errors(panels[2], flight)
+    _plot_errors(panels[2], flight, known)
     measures.need(flight, "length")
     time, used = measures.used_length(flight)
-    estimate, deviation = flight.length.values.T[1:]
     axes = panels[3]
-    axes.fill_between(
-        time[1:], *(estimate[1:] + sign * 2 * deviation[1:] for sign in (-1, 1)), color=BLUE, alpha=0.15, lw=0,
-        label=r"GA run $\pm\,2\sigma$",
-    )  # fmt: skip
-    axes.plot(time, estimate, ".", ms=2, color=BLUE, label="GA run")
+    if known:
+        _plot_band(axes, bands.band(bands.values(known, "used")), ORANGE, f"{len(known)} flights", step="post")
+    axes.plot(time, flight.length.values[:, 1], ".", ms=2, color=BLUE, label="GA run")
     axes.step(time, used, where="post", color=ORANGE, label="used")
     axes.axhline(measures.true_length(flight), color="black", lw=0.6, label="true")
     axes.axvline(claims.PAPER["G3.time"], color=GREY, ls="--", lw=0.7, label="paper converged")
@@ -132,16 +164,30 @@ def fig5_estimation(flight: Flight) -> Figure:
     return figure
 
 
-def fig6_convergence(*flights: Flight) -> Figure:
-    """Fig. 6: the used length from three starts; the crosses are the paper's end points (its Table 3)."""
-    figure, (axes,) = _panels(flights[0], 1, 2.4)
+def fig6_convergence(*sources: Flight | Rows) -> Figure:
+    """Fig. 6: the length in use from three first lengths; the rod has 1 m and the vehicle is on the 0.4 m circle.
+
+    Lines: the recorded flights (simulated). Bands: 5 to 95 % of 20 simulated flights from each first length, of the
+    same 20 seeds; the recorded one is among them. Crosses with dashed lines: time and length at which the paper's
+    flights converged (its Table 3), in the colour of the same first length. With the first full window of 55 samples,
+    at 5.5 s, the length in use comes within 16 cm of the true one, from 1.4 m less closely than from 0.8 m, as the rod
+    was flown less well; from 12 s on the three bands are one, 0.93 to 1.04 m: the first length no longer matters, the
+    noise does. The paper's 3.99 s from 1.2 m lies before our first window is full.
+    """
+    *flights, last = sources
+    spread: Rows = [] if isinstance(last, Flight) else last
+    flights += [last] if isinstance(last, Flight) else []
+    figure, (axes,) = _panels(flights[0], 1, 2.8)
     _origin(figure, *flights)
     for flight, claim, colour in zip(flights, ("G1", "G2", "G3"), (BLUE, ORANGE, GREEN), strict=True):
         time, used = measures.used_length(flight)
+        if known := bands.flights(spread, flight.path.name):
+            _plot_band(axes, bands.band(bands.values(known, "used")), colour, None, step="post")
         axes.step(
-            np.r_[time, flight.duration], np.r_[used, used[-1]], where="post", color=colour,
+            np.r_[time, flight.duration], np.r_[used, used[-1]], where="post", color=colour, lw=1.1,
             label=f"$l_0$ = {used[0]:g} m",
         )  # fmt: skip
+        axes.axvline(claims.PAPER[f"{claim}.time"], color=colour, ls="--", lw=0.6)
         axes.plot(claims.PAPER[f"{claim}.time"], claims.PAPER[f"{claim}.length"], "X", color=colour, mec="black",
                   mew=0.4, ms=5.5, zorder=3)  # fmt: skip
     axes.plot([], [], "X", color="white", mec="black", mew=0.6, ms=5.5, label="paper, same colour")
@@ -192,8 +238,17 @@ def _plot_tracking(axes: Axes, flight: Flight, name: str) -> None:
     axes.legend(loc="upper right", ncols=2)
 
 
-def _plot_errors(axes: Axes, flight: Flight) -> None:
+def _plot_band(axes: Axes, band: bands.Band, colour: str, label: str | None, **how: str) -> None:
+    """Draw the spread over flights behind a recorded one."""
+    axes.fill_between(band.time, band.low, band.high, color=colour, alpha=0.16, lw=0, label=label, **how)
+    for edge in (band.low, band.high):
+        axes.plot(band.time, edge, color=colour, lw=0.35, drawstyle="steps-post" if how else "default")
+
+
+def _plot_errors(axes: Axes, flight: Flight, spread: Rows = ()) -> None:
     for name, colour in zip("xy", (BLUE, ORANGE), strict=True):
+        if spread:
+            _plot_band(axes, bands.band(100 * bands.values(spread, f"{name}_error")), colour, None)
         error = flight.state.column(name) - flight.reference.column(name)
         axes.plot(flight.time(flight.state), 100 * error, color=colour, label=f"${name} - {name}_\\mathrm{{ref}}$")
     axes.set_ylabel("error (cm)")
@@ -203,17 +258,20 @@ def _plot_errors(axes: Axes, flight: Flight) -> None:
 
 
 def _plot_rates(axes: Axes, flight: Flight) -> None:
+    """Draw the running RMS of the commanded rates: the commands themselves are noise that fills the panel."""
     measures.need(flight, "command")
     time = flight.time(flight.command)
+    span = max(1, round(RMS_SECONDS * (len(time) - 1) / (time[-1] - time[0])))
     for name, label, colour in (("omega_x", r"$\omega_x$", BLUE), ("omega_y", r"$\omega_y$", ORANGE)):
-        axes.plot(time, np.degrees(flight.command.column(name)), color=colour, lw=0.4, alpha=0.8, label=label)
-    axes.set_ylabel("rate (deg/s)")
+        square = np.degrees(flight.command.column(name)) ** 2
+        mean = np.convolve(square, np.full(span, 1.0 / span), mode="valid")
+        middle = time[span // 2 :][: len(mean)]
+        axes.plot(middle, np.sqrt(np.maximum(mean, 0.0)), color=colour, label=label)
+    axes.set_ylabel("rate, RMS\n(deg/s)")
     limit = np.degrees(flight.params.vehicle.max_body_rate)
-    for side in (-limit, limit):
-        axes.axhline(side, color="black", lw=0.5, ls="--")
-    axes.set_ylim(-1.2 * limit, 1.9 * limit)
-    for line in axes.legend(loc="upper right", ncols=2).get_lines():
-        line.set(linewidth=0.9, alpha=1.0)  # the noise is drawn thin, its key need not be
+    axes.axhline(limit, color="black", lw=0.6, ls="--", label="bound")
+    axes.set_ylim(0.0, 1.65 * limit)
+    axes.legend(loc="upper right", ncols=3)
 
 
 def _band(axes: Axes, value: float, label: str) -> None:

@@ -1,7 +1,8 @@
-"""What the ledger measures on a recorded flight: leans, laps, settling, convergence, jumps of the length.
+"""What can be measured on a recorded flight: leans, laps, settling, convergence, changes of the length.
 
 All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
-never on a simulator's truth: the bag of a real vehicle goes through unchanged.
+never on a simulator's truth: the bag of a real vehicle goes through unchanged. ``quantities`` makes the ledger's
+numbers of these.
 """
 
 import math

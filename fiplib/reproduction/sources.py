@@ -26,6 +26,7 @@ BENCHMARKS = {
     "deadlines": "python benchmarks/bench_deadlines.py --save",
     "results": "make bench",
     "growth": "python -m benchmarks.growth --save",
+    "controller_ticks": "python -m benchmarks.controllers --save",
 }
 """The tables of ``benchmarks/``, each with the command that writes it."""
 
@@ -86,11 +87,13 @@ class Sources:
 class Product(Sources):
     """A figure or table; ``address`` is ``module:function``, and the function takes what ``Sources.read`` returns.
 
-    ``parts`` are further functions that make it.
+    ``parts`` are further functions that make it. The studies in ``behind`` draw the spread behind recorded flights; a
+    folder of other flights need not hold them.
     """
 
     address: str
     parts: tuple[str, ...] = ()
+    behind: tuple[str, ...] = ()
 
     def load(self) -> Callable:
         """Import the function, which returns a ``Figure`` or a ``Table``."""

@@ -13,6 +13,9 @@ COLUMN = 3.4
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 """The colours of Okabe and Ito."""
 
+LIGHT = "#E4E4E4"
+"""What is shaded behind lines."""
+
 STYLE = {
     "font.size": 8,
     "axes.labelsize": 8,

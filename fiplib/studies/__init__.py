@@ -45,13 +45,17 @@ STUDIES = {
     "choices_flown": "fiplib.studies.choices_checks:Flown",
     "choices_exploring": "fiplib.studies.choices_checks:Exploring",
     "step_errors": "fiplib.studies.step_errors",
+    "spread": "fiplib.studies.spread",
+    "flying_pendulum": "fiplib.studies.flying_pendulum",
+    "field": "fiplib.studies.field",
+    "excitation": "fiplib.studies.excitation",
 }
 """Address of each study by name, see ``load``."""
 
 
 FACTS = (
     *("estimators", "weights", "handover", "length_jumps", "imperfections", "bounds"),
-    *("seat", "poses", "observers", "ablation", "step_errors"),
+    *("seat", "poses", "observers", "ablation", "step_errors", "field", "flying_pendulum", "excitation"),
     *("choices", "choices_flown", "choices_exploring"),
 )
 """The studies whose ``facts`` the report states, in the order of the file that holds them."""

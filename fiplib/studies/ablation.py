@@ -184,7 +184,12 @@ def judged(rows: Rows, data: str, model: str, search: str) -> Judged:
 
 
 def table16_ablation(rows: Rows) -> Table:
-    """Table 16: bias, RMS error, coverage and cost of every combination of data, model and search."""
+    """Table 16: bias, RMS error, coverage and cost of every combination of data, model and search.
+
+    60 simulated flights of the 0.4 m circle (8 s), 20 for each rod of 0.5, 1 and 1.5 m; errors relative to the length;
+    in brackets: 95 % intervals, bootstrap over flights for errors, binomial for coverage. CPU: median of a search with
+    what it must prepare.
+    """
     lines, names = [], {"ga": "GA", "grid": "grid", "brent": "Brent"}
     for data, model, search in ARMS:
         found = judged(rows, data, model, search)
@@ -201,7 +206,13 @@ def table16_ablation(rows: Rows) -> Table:
 
 
 def fig19_ablation(rows: Rows) -> Figure:
-    """Fig. 19: RMS error of every combination of data, model and search, by rod, with intervals over seeds."""
+    """Fig. 19: RMS error of the length by data, model and search, for three uniform rods.
+
+    20 simulated flights of the 0.4 m circle (8 s) for each rod, all answers to the same 5.4 s; bars: 95 % intervals,
+    bootstrap over flights. Data: states derived at 10 Hz, or all poses as measured. Model: lambda = 1, the paper's
+    point mass, or 0.75 +- 0.05, about a uniform rod. The searches agree; better data help by a factor of about twenty,
+    but only together with the right inertia.
+    """
     figure = Figure(figsize=(COLUMN, 2.6), layout="constrained")
     panels = figure.subplots(1, len(RODS), sharey=True, sharex=True)
     kinds = list(itertools.product(DATA, MODELS))
@@ -234,4 +245,9 @@ def facts(rows: Rows) -> Facts:
             (*arm, "rms"): f"{100 * one.rms[0]:.2f}",
             (*arm, "covered"): f"{100 * one.covered[0]:.0f}" if one.covered[0] else NONE,
         }
+        for name, (_, low, high), decimals in (("bias", one.bias, 2), ("rms", one.rms, 2), ("covered", one.covered, 0)):
+            found |= {
+                (*arm, name, "low"): f"{100 * low:.{decimals}f}",
+                (*arm, name, "high"): f"{100 * high:.{decimals}f}",
+            }
     return found

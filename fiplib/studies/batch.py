@@ -57,7 +57,13 @@ def _fly(scenario: Scenario) -> Flight:
         MemoryRecorder(),
     )
     sampler = SAMPLERS[estimator_of(params).kind](params)
-    lengths = LengthUpdates(scenario, estimator, lambda _, *estimate: pilot.receive_estimate(*estimate), tape)
+
+    def receive(_: int, length: float, deviation: float) -> float:
+        if newest is not None and math.isfinite(length + deviation):
+            flown.inform((newest - now[0]) / NANO, deviation)
+        return pilot.receive_estimate(length, deviation)
+
+    lengths = LengthUpdates(scenario, estimator, receive, tape)
     tape.numbers("truth_length", EPOCH, (params.pendulum.length,))
     tape.length(EPOCH, pilot.length, math.nan, math.nan)
     first, newest, fell = 0, None, False
@@ -117,16 +123,19 @@ class _Compiled:
         params, at, count = scenario.params, np.array(times.ticks), len(times.now)
         simulated = SimulatedVehicle(scenario)
         plant, arrival = simulated.plant, np.array(times.now)
-        forces = np.zeros((count, 3))
+        disturbance = simulated.disturbance
+        forces = np.zeros((count, disturbance.size))
         self.pushes: list[Event] = []
-        for index in range(count) if scenario.pushes else ():
-            forces[index], push = simulated.pushes.at(index)
+        for index in range(count) if scenario.pushes or disturbance.acts else ():
+            force, push = simulated.pushes.at(index)
+            forces[index] = disturbance.load(force)
             if push:
                 self.pushes.append(push.event(times.now[index]))
         self.ticks = np.full(count, -1)
         self.ticks[at] = range(len(at))
         horizon = np.arange(params.control.nodes + 1) * params.control.step
         nodes = ((arrival[at] - arrival[0]) / NANO)[:, None] + horizon
+        self._reference, self._nodes = scenario.reference, nodes
         self.references = np.ascontiguousarray(scenario.reference.at(nodes.ravel()).reshape(*nodes.shape, 10))
         schedule = np.tile(np.array([0.0, 0.0, 0.0, plant.x[19]]), (plant.substeps, 1))
         elapsed, tick_elapsed = (
@@ -143,6 +152,13 @@ class _Compiled:
         self._pilot = (observer.constants, observer.memory, loops, np.zeros(2))
         self._written = (self.frames, self.truths, self.states, self.commands, self.statuses)
         self._kernel, self._mpc = flight.fly, MPC(params)
+
+    def inform(self, seconds: float, deviation: float) -> None:
+        """Follow what the reference makes of it that the length is known, from the tick after ``seconds`` on."""
+        if (informed := self._reference.informed(seconds, deviation)) is not self._reference:
+            later = self._nodes[:, 0] > seconds
+            nodes, self._reference = self._nodes[later], informed
+            self.references[later] = informed.at(nodes.ravel()).reshape(*nodes.shape, 10)
 
     def fly(self, first: int, last: int, length: float) -> tuple[bool, int]:
         """Fly the frames ``first`` to ``last`` - 1 with a length in use, m; whether it fell, and the next frame."""

@@ -11,7 +11,13 @@ from fiplib.reproduction.tables import NONE, Table
 
 
 def fig13_deadlines(found: Quantities) -> Figure:
-    """Fig. 13: how late ticks are and how long their answers take, beside how late the machine is by itself."""
+    """Fig. 13: how late control ticks are and how long their answers take, against the clock with a simulated vehicle.
+
+    One run of ten minutes at 120 Hz, the genetic algorithm in a process beside the controller: share of all ticks above
+    each time. Vertical line: the period of a tick, 8.33 ms. Dashed: how late a process is that does nothing else. Of
+    a hundred answers 99 take a tenth of a tick or less; the tail beyond a few ms is the machine's, as the dashed line
+    shows.
+    """
     figure = Figure(figsize=(COLUMN, 2.7), layout="constrained")
     axes = figure.subplots()
     for kind, colour, dashes, label in (
@@ -44,7 +50,10 @@ def _longer(found: Quantities, kind: str) -> tuple[NDArray, NDArray]:
 
 
 def table10_rates(rates: Quantities) -> Table:
-    """Table 10: flights a second of a sweep, from ``benchmarks/sweep_rates.csv``, and what a million would take."""
+    """Table 10: simulated flights a second of a sweep by number of worker processes, hover without estimator.
+
+    Measured once on each number of workers; the last line is extrapolated, with the time that a million flights need.
+    """
     one, two, cores = rates["rate_1_worker_per_s"], rates["rate_2_workers_per_s"], rates["extrapolated_cores"]
     seconds, hours = rates["flight_duration_s"], f"extrapolated: {rates['extrapolated_hours']:.1f} h for a million"
     lines = [
@@ -63,7 +72,11 @@ OURS, FLOOR = "fip", "floor"
 
 
 def table12_speed(rows: Rows) -> Table:
-    """Table 12: each piece of work beside the fastest rival whose answers agree, and the ratios of all others."""
+    """Table 12: time of each piece of work, beside the fastest rival whose answers agree, and ratios of all others.
+
+    Medians (p50) and 99th percentiles (p99) of many calls in one process each, on simulated data; a ratio is the
+    rival's median over ours. A rival that answers otherwise is marked: its time is that of other work.
+    """
     lines = []
     for work in dict.fromkeys(row["work"] for row in rows if row["contender"] == OURS and row["calls"] > 0):
         own, *others = sorted((row for row in rows if row["work"] == work), key=lambda row: row["contender"] != OURS)
@@ -100,7 +113,12 @@ def _figures(value: float) -> str:
 
 
 def fig14_growth(rows: Rows) -> Figure:
-    """Fig. 14: time over the size of the work, with fitted exponents, beside the physical floor."""
+    """Fig. 14: time over the size of the work, beside the physical floor, on simulated data.
+
+    Medians of many calls on one machine; the number behind each name is the exponent fitted to the larger half of the
+    sizes, the floor is what arithmetic or memory alone would take. An exponent of one means that every node, sample or
+    message is touched once; where it is smaller, a fixed cost of each call still counts.
+    """
     works = list(dict.fromkeys(str(row["work"]) for row in rows))
     figure = Figure(figsize=(COLUMN, 1.45 * -(-len(works) // 2) + 0.3), layout="constrained")
     panels = figure.subplots(-(-len(works) // 2), 2, squeeze=False).ravel()

@@ -248,7 +248,13 @@ SHOWN_READINGS = {
 
 
 def fig8_landscapes(curves: Rows) -> Figure:
-    """Fig. 8: what four readings of the fitness say about every length, on one and the same window."""
+    """Fig. 8: what four variants of the fitness say about every length, on one and the same simulated window.
+
+    55 samples in steps of 0.1 s of the 0.4 m circle (8 s), uniform rod of 1 m (vertical line), lengths in steps of
+    1 cm; dots: the best length. Left: our calibrated noise covariances; right: unit ones, as the paper prints none.
+    With calibrated covariances every variant has a valley within 0.25 m of the true length; with unit ones each prefers
+    an end of the interval and none finds the rod. One window, no statistic: Table 9 has its spread over windows.
+    """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     looks = zip((ORANGE, PURPLE, GREEN, BLUE), ("-", "--", "-.", "-"), strict=True)
@@ -270,8 +276,12 @@ def fig8_landscapes(curves: Rows) -> Figure:
 
 
 def table9_landscapes(rows: Rows) -> Table:
-    """Table 9: mean error (standard deviation over windows) of the best of all lengths, in cm, for four readings, as
-    one thing at a time differs from the default."""
+    """Table 9: mean error (standard deviation over 6 windows) of the best of all lengths, in cm, for four variants.
+
+    One thing at a time differs from the default: 55 samples at 10 Hz of the 0.4 m circle (8 s), a uniform rod of 1 m,
+    calibrated covariances; 2 simulated flights of 3 windows each. No variant is free of bias once the covariances are
+    wrong.
+    """
     cells = {(_setting(row), row["reading"]): row for row in rows}
     lines = []
     for setting in sorted(dict.fromkeys(setting for setting, _ in cells), key=lambda setting: setting != "default"):

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from fiplib.dynamics import PLANT
 from fiplib.estimators.cramer_rao import Motion, cramer_rao_of_poses, motion
-from fiplib.estimators.poses.estimate import NORMAL, PoseEstimate, estimate
+from fiplib.estimators.poses.estimate import PoseEstimate, estimate
 from fiplib.estimators.poses.knowledge import MIDDLE, Knowledge, Told
 from fiplib.estimators.poses.rows import Body, upright_axis
 from fiplib.params import Params
@@ -38,7 +38,7 @@ from fiplib.reproduction.style import BLUE, COLUMN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
 from fiplib.simulate import Plant, Push, Scenario, fly
 from fiplib.studies.batch import fly_many
-from fiplib.studies.estimators import summarise
+from fiplib.studies.estimators import interval, pooled_rms, ranged, resampled, summarise
 from fiplib.studies.imperfections import Imperfection, ImperfectPlant
 
 KEYS = ("condition", "seed")
@@ -252,27 +252,6 @@ def bound_of(condition: Condition, true: Motion) -> float:
     return float(cramer_rao_of_poses(window, params, replace(condition.knowledge, distance_tolerance=1e-5))[-1])
 
 
-def interval(covered: ArrayLike, answered: ArrayLike, draws: int = 4000) -> tuple[float, float, float]:
-    """Return the share of answers whose interval holds the length, and its 95 % interval by a bootstrap over flights.
-
-    Where all of them do, which leaves a bootstrap nothing to draw, the interval is that of Wilson.
-
-    Args:
-        covered, answered: numbers of windows by flight.
-        draws: how many times the flights are drawn anew.
-    """
-    covered, answered = np.asarray(covered, dtype=float), np.asarray(answered, dtype=float)
-    n, share = max(answered.sum(), 1.0), covered.sum() / max(answered.sum(), 1.0)
-    if share in (0.0, 1.0):
-        z2 = NORMAL**2
-        edge = z2 / (n + z2)
-        return (share, 1.0 - edge, 1.0) if share else (share, 0.0, edge)
-    chosen = np.random.default_rng(0).integers(len(covered), size=(draws, len(covered)))
-    shares = covered[chosen].sum(axis=1) / np.maximum(answered[chosen].sum(axis=1), 1.0)
-    low, high = np.quantile(shares, (0.025, 0.975))
-    return float(share), float(low), float(high)
-
-
 class Pooled(NamedTuple):
     """A condition over its flights: windows answered, and the share refused; mean and root mean square error, mean
     stated deviation and bound in m; the share of intervals that hold the length, with its interval."""
@@ -303,10 +282,20 @@ def pooled(rows: Rows, condition: str) -> Pooled:
     return Pooled(int(total), shares, mean, square, float(weights @ sd / total), limit, covered)
 
 
-def fig16_coverage(rows: Rows) -> Figure:
-    """Fig. 16: the share of 95 % intervals that hold the length, by condition, and how many windows are refused.
+def refusal(rows: Rows, condition: str) -> tuple[float, float, float]:
+    """Return the share of a condition's windows that are refused, with its 95 % interval as ``interval`` gives it."""
+    n, refused = np.array([(row["n"], row["refused"]) for row in rows if row["condition"] == condition]).T
+    return interval(refused, n + refused)
 
-    Where fewer than ``FEW`` windows are answered, their share says nothing and is not drawn.
+
+def fig16_coverage(rows: Rows) -> Figure:
+    """Fig. 16: share of stated 95 % intervals that hold the length, and share of windows refused, by condition.
+
+    The estimate from poses alone, 20 simulated flights of 4 windows of 2.5 s for each condition; bars: 95 % intervals,
+    bootstrap over flights, or Wilson's where all windows or none count. Blue: the rod's middle is tracked and that is
+    stated; orange: nothing is stated; purple: something is stated that is not so. Lines at 95 and 90 %. Where fewer
+    than 8 windows are answered no share is drawn. Wherever the estimator answers, 93 to 100 % of the intervals hold;
+    wrong statements are refused.
     """
     figure = Figure(figsize=(COLUMN, 5.2), layout="constrained")
     axes, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
@@ -316,7 +305,9 @@ def fig16_coverage(rows: Rows) -> Figure:
         if found.windows >= FEW:
             share, low, high = (100 * value for value in found.covered)
             axes.errorbar(share, at, xerr=[[share - low], [high - share]], fmt="o", ms=3, lw=0.8, color=colour)
-        right.barh(at, 100 * found.refused, color=colour)
+        share, low, high = (100 * value for value in refusal(rows, name))
+        bars = {"elinewidth": 0.6, "ecolor": "black"}
+        right.barh(at, share, color=colour, xerr=[[share - low], [high - share]], error_kw=bars)
     for value, style in ((95.0, "-"), (90.0, "--")):
         axes.axvline(value, color=GREY, lw=0.6, ls=style)
     axes.set(yticks=range(len(CONDITIONS)), yticklabels=list(CONDITIONS), ylim=(len(CONDITIONS) - 0.4, -0.6))
@@ -328,7 +319,12 @@ def fig16_coverage(rows: Rows) -> Figure:
 
 
 def table13_coverage(rows: Rows) -> Table:
-    """Table 13: the pose estimator by condition: what is refused, errors of the length, and the intervals."""
+    """Table 13: the estimate from poses alone by condition: windows answered and refused, errors, and the intervals.
+
+    20 simulated flights of 4 windows of 2.5 s for each condition. Stated: the mean standard deviation that the
+    estimator gives; in brackets: 95 % intervals, bootstrap over flights. RMSE / bound: where the Cramer-Rao bound is
+    computed.
+    """
     lines = []
     for name in CONDITIONS:
         found = pooled(rows, name)
@@ -336,7 +332,9 @@ def table13_coverage(rows: Rows) -> Table:
         if found.windows:
             share, low, high = (100 * value for value in found.covered)
             ratio = NONE if math.isnan(found.bound) else f"{found.rms / found.bound:.2f}"
-            errors = (number(1e3 * value, 1) for value in (found.bias, found.rms, found.sd))
+            given = [row for row in rows if row["condition"] == name and row["n"] > 0]
+            error = ranged(*(1e3 * value for value in resampled(given, pooled_rms, "n", "rms")), 1)
+            errors = number(1e3 * found.bias, 1), error, number(1e3 * found.sd, 1)
             cells = [*errors, f"{share:.0f} ({low:.0f} to {high:.0f})", ratio]
         label = name.replace("%", r"\%")
         lines.append((label, f"{found.windows}", f"{100 * found.refused:.0f}", *cells))

@@ -16,7 +16,7 @@ from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
 from fiplib.recording import Flight
 from fiplib.references import Circle, Hover
-from fiplib.reproduction.measures import rms
+from fiplib.reproduction.measures import binomial_interval, rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
@@ -109,7 +109,14 @@ PLACE = -3.0
 
 
 def fig17_seat(rows: Rows) -> Figure:
-    """Fig. 17: rods on a seat 8 cm above the tracked frame: who stays up, and how well, by the stated height."""
+    """Fig. 17: rods on a seat 8 cm above the tracked frame, by the height that the pilot is given for it.
+
+    20 simulated flights of 20 s at each point, in hover with three pushes and on the 0.4 m circle (8 s), uniform rods
+    whose length is known; dotted: the true height; none (open squares): the seat at the frame. From above: share that
+    stays up with exact 95 % intervals; of those that stay up the median RMS distance from the reference and the median
+    RMS rate command. Short rods fall when the seat is unknown, and a height that is too large does more harm than one
+    that is too small.
+    """
     figure = Figure(figsize=(COLUMN, 4.2), layout="constrained")
     panels = figure.subplots(3, 2, sharex=True, sharey="row")
     for axes, motion in zip(panels[0], MOTIONS, strict=True):
@@ -149,7 +156,12 @@ def fig17_seat(rows: Rows) -> Figure:
 
 
 def table14_seat(rows: Rows) -> Table:
-    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands."""
+    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands.
+
+    20 simulated flights of 20 s in each cell, in hover with three pushes and on the 0.4 m circle (8 s); behind the
+    number that stays up its exact 95 % interval in per cent. RMS error, largest lean and RMS rate command are medians
+    over the flights that stay up. Gain margin: the upper one of the linear loop, none where it is unstable.
+    """
     lines = []
     for length in LENGTHS:
         for seat, stated in ((0.0, 0.0), *((SEAT, stated) for stated in STATED)):
@@ -187,6 +199,9 @@ def facts(rows: Rows) -> Facts:
     for length, word in zip(LENGTHS, ("shortest", "short", "middle", "longest"), strict=True):
         for stated, knowledge in ((SEAT, "known"), (0.0, "unknown")):
             some = [_row(rows, motion, length, SEAT, stated) for motion in MOTIONS]
-            found[word, knowledge, "up"] = f"{sum(int(row['survived']) for row in some)}"
+            up = sum(int(row["survived"]) for row in some)
+            low, high = binomial_interval(up, len(MOTIONS) * len(SEEDS))
+            found[word, knowledge, "up"] = f"{up}"
+            found[word, knowledge, "low"], found[word, knowledge, "high"] = f"{100 * low:.0f}", f"{100 * high:.0f}"
             found[word, knowledge, "seconds"] = f"{min(row['seconds'] for row in some):.1f}"
     return found | {("flights",): f"{len(MOTIONS) * len(SEEDS)}"}

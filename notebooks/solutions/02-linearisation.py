@@ -33,4 +33,6 @@ def controllable_states(first_length, second_length, g=GRAVITY):
     a[0, 1] = a[2, 3] = a[4, 5] = 1
     a[1, 6], a[3, 6], a[5, 6] = g, -g, -g
     a[3, 2], a[5, 4] = 2 * g / first_length, 2 * g / second_length
-    return np.linalg.matrix_rank(np.hstack([np.linalg.matrix_power(a, n) @ b for n in range(7)]))
+    return np.linalg.matrix_rank(
+        np.hstack([np.linalg.matrix_power(a, n) @ b for n in range(7)])
+    )

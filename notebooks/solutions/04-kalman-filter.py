@@ -12,7 +12,12 @@ def predict_covariance(j, p, q, step):
 
 
 def normalised_innovations(y, s):
-    nis = np.array([row @ np.linalg.solve(covariance, row) for row, covariance in zip(y, s, strict=True)])
+    nis = np.array(
+        [
+            row @ np.linalg.solve(covariance, row)
+            for row, covariance in zip(y, s, strict=True)
+        ]
+    )
     return nis
 
 

@@ -22,7 +22,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from fiplib import bag as bag_command
 from fiplib import recording
 from fiplib.bags import messages as layouts
 from fiplib.bags.decoding import Decoder
@@ -31,6 +30,7 @@ from fiplib.bags.reader import read
 from fiplib.bags.recovery import recover
 from fiplib.bags.sources import Block, Stored
 from fiplib.bags.writer import BagRecorder
+from fiplib.commands import bag as bag_command
 from fiplib.params import STATE_NAMES, FipError, Params
 from fiplib.recording import BagError, Event
 from fiplib.replay import why_not_refit

@@ -9,8 +9,8 @@ import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from fiplib import bag as command
 from fiplib.bags import read
+from fiplib.commands import bag as command
 from fiplib.recording import BagError, Flight
 
 DATA = Path(__file__).parents[2] / "data" / "estimate-1.4"  # simulated, a uniform rod of 1 m

@@ -3,21 +3,24 @@
 import csv
 import hashlib
 import io
+import re
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from fiplib import products
+from fiplib import bags, products
 from fiplib.params import FipError
 from fiplib.products import PRODUCTS
-from fiplib.reproduction import tables
+from fiplib.reproduction import bands, sources, tables
 from fiplib.reproduction.style import COLUMN, STYLE
 from fiplib.reproduction.tables import Table
+from fiplib.studies import ablation, imperfections, observers, poses, seat, spread, survival
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
@@ -33,8 +36,10 @@ TABLES = [name for name in PRODUCTS if name.startswith("table")]
 
 
 def test_every_figure_and_table_of_the_paper_is_there_and_the_findings_after_them():
-    assert [name.split("-")[0] for name in DRAWN] == [f"fig{number}" for number in range(1, 20)]
-    assert [name.split("-")[0] for name in TABLES] == [f"table{number}" for number in range(1, 17)]
+    for names, kind in ((DRAWN, "fig"), (TABLES, "table")):
+        numbers = [int(name.partition("-")[0].removeprefix(kind)) for name in names]
+        assert sorted(numbers) == list(range(1, len(names) + 1))
+    assert len(DRAWN) >= 22 and len(TABLES) >= 21
 
 
 @pytest.mark.parametrize("name", PRODUCTS)
@@ -44,6 +49,65 @@ def test_writing_twice_gives_the_same_bytes(name, made, tmp_path):
     assert len(first) == 2
     for one, other in zip(first, again, strict=True):
         assert hashlib.sha256(one.read_bytes()).digest() == hashlib.sha256(other.read_bytes()).digest(), one.name
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_a_caption_is_plain_text_that_says_what_is_simulated_and_how_many_flights(name):
+    found, product = products.caption(name), PRODUCTS[name]
+    label = name.partition("-")[0].replace("fig", "Fig. ").replace("table", "Table ")
+    assert product.load().__doc__.startswith(f"{label}: ")
+    assert found[0].isupper() and found.endswith(".") and "  " not in found and "\n" not in found
+    assert not set(found) & set("`$\\{}") and "*" not in found
+    if product.names and name != "table10-rates":  # it counts flights, and measures how long they take
+        assert "simulated" in found.lower()
+    if product.bags or product.studies:
+        assert re.search(r"\b(\d+|[Oo]ne|Two|two) (simulated |recorded |other )*(flights?|windows?|candidates)", found)
+    if name.startswith("fig"):
+        assert len(found) > 150, "one sentence is no caption: seeds, parameters, and what the reader should see"
+
+
+SEEDS = {
+    "fig5-estimation": spread.SEEDS,
+    "fig6-convergence": spread.SEEDS,
+    "fig7-survival": survival.SEEDS,
+    "fig10-intervals": spread.SEEDS,
+    "fig16-coverage": poses.SEEDS,
+    "fig17-seat": seat.SEEDS,
+    "fig18-observers": observers.SEEDS,
+    "fig19-ablation": ablation.SEEDS,
+    "table11-imperfections": imperfections.SEEDS,
+    "table13-coverage": poses.SEEDS,
+    "table14-seat": seat.SEEDS,
+    "table15-observers": observers.SEEDS,
+}
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_a_caption_counts_the_seeds_of_its_study(name):
+    assert re.search(rf"\b{len(SEEDS[name])} (simulated )?flights", products.caption(name))
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "words"),
+    [
+        ("fig5-estimation", "used", "between 0.93 and 1.04 m"),
+        ("fig6-convergence", "used", "0.93 to 1.04 m"),
+        ("fig10-intervals", "pose_length", "0.995 to 1.006 m"),
+    ],
+)
+def test_a_caption_states_the_band_that_is_drawn(name, quantity, words):
+    assert words in products.caption(name)
+    stated = re.findall(r"\d\.\d+", words)
+    for scenario in spread.STARTS:
+        found = bands.band(bands.values(bands.flights(sources.read("spread", DATA), scenario), quantity))
+        edges = [float(edge[found.time > 12.0].mean()) for edge in (found.low, found.high)]
+        # one unit of the last digit: three starts share one sentence
+        assert edges == pytest.approx([float(number) for number in stated], abs=10.0 ** (2 - len(stated[0])))
+
+
+def test_the_caption_of_no_product_is_refused():
+    with pytest.raises(FipError, match="no figure 'fig99-moon'; there are fig1-flight"):
+        products.caption("fig99-moon")
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -87,6 +151,24 @@ def test_a_figure_made_from_a_study_says_that_it_is_simulated(name, made):
 def test_a_study_that_is_not_there_is_named_with_the_command_that_makes_it(tmp_path):
     with pytest.raises(FipError, match="survival is missing: make sweep STUDIES='survival'"):
         products.make("fig7-survival", tmp_path)
+
+
+def test_other_flights_are_drawn_without_the_spread_behind_ours(made, tmp_path):
+    for bag in PRODUCTS["fig6-convergence"].bags:
+        (tmp_path / bag).symlink_to(DATA / bag)
+    alone = products.make("fig6-convergence", tmp_path)
+    assert len(alone.axes[0].collections) == 0
+    # a band for each of three first lengths, nine tenths of 20 flights
+    assert len(made["fig6-convergence"].axes[0].collections) == 3
+
+
+def test_the_running_rms_of_the_rates_is_that_of_30_commands(made):
+    flight = bags.read(DATA / "push-hover")
+    rates = np.degrees(flight.command.column("omega_x"))
+    drawn = made["fig3-pushes"].axes[3].lines[0]
+    assert drawn.get_label() == r"$\omega_x$" and len(drawn.get_ydata()) == len(rates) - 29
+    assert drawn.get_ydata()[100] == pytest.approx(np.sqrt(np.mean(rates[100:130] ** 2)), rel=1e-9)
+    assert drawn.get_xdata()[100] == flight.time(flight.command)[115]
 
 
 @pytest.mark.parametrize("name", [name for name in DRAWN if PRODUCTS[name].bags])

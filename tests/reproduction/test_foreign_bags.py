@@ -9,8 +9,9 @@ import pytest
 from fiplib import bags, products, replay
 from fiplib.products import PRODUCTS
 from fiplib.recording import BagError, Flight, Series
-from fiplib.reproduction import claims, ledger
+from fiplib.reproduction import evidence, ledger, quantities
 from fiplib.reproduction.claims import CLAIMS
+from fiplib.reproduction.sources import read
 from fiplib.reproduction.style import styled
 
 DATA = Path(__file__).parents[2] / "data"
@@ -68,13 +69,14 @@ def test_a_claim_is_judged_or_refused_in_one_sentence_that_names_the_bag(claim, 
     monkeypatch.setattr(replay, "STRIDE", 1000)
     flights = [flight(bag) for bag in claim.bags]
     refused = 0
-    refits = claim.judge in (claims.printed_fitness, claims.search_as_printed, claims.search_mended)
+    tables = [read(study, DATA) for study in claim.studies]
+    refits = claim.measure is quantities.printed_best or claim.gather in (evidence.search, evidence.remedy)
     for lack, stripped in without(flights[-1]).items():
         if refits and lack not in ("everything but poses", "command", "all but one state"):
             continue  # each refit takes seconds
-        claims.search_gaps.cache_clear()
+        quantities.search_gaps.cache_clear()
         try:
-            ledger.judged(claim, [*flights[:-1], stripped])
+            ledger.judged(claim, [*flights[:-1], stripped, *tables])
         except BagError as error:
             refused += 1
             assert str(stripped.path) in str(error) and "\n" not in str(error), lack
@@ -92,7 +94,7 @@ def test_the_ledger_leaves_open_what_a_bag_cannot_say_and_judges_the_rest(tmp_pa
     rows = {row.id: row for row in ledger.evaluate(data, failures=failures)}
     assert len(failures) == 1 and "push-hover" in failures[0]
     assert rows["D1"].verdict == "open" and "push-hover: no such file" in rows["D1"].reading
-    assert rows["C1"].verdict != "open" and rows["G1.length"].ours
+    assert rows["C2.delay"].verdict != "open" and rows["G1.length"].ours
     monkeypatch.setattr(ledger, "evaluate", lambda *_: failures_of(_))
     with pytest.raises(products.FipError, match="written, with claims that cannot be judged: lost"):
         products.write_ledger(data, tmp_path / "figures", tmp_path / "generated")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fiplib import products, studies
+from fiplib import studies
+from fiplib.commands import figures
 from fiplib.reproduction import sources, stored
 from fiplib.reproduction.sources import BENCHMARKS
 from fiplib.reproduction.stored import SUMS, JournalError
@@ -118,10 +119,10 @@ def test_a_figure_of_a_damaged_table_is_refused_and_the_others_are_made(tmp_path
     shutil.copy(DATA / SUMS, tmp_path)
     (tmp_path / "sweeps/survival.csv").write_bytes((DATA / "sweeps/survival.csv").read_bytes()[:-3])
     parser = argparse.ArgumentParser()
-    products.add_arguments(parser)
+    figures.add_arguments(parser)
     names = ["fig7-survival", "table1-parameters"]
     options = parser.parse_args([*names, "--data", str(tmp_path), "--output", str(tmp_path / "figures")])
-    assert products.run(options) == 1
+    assert figures.run(options) == 1
     printed = capsys.readouterr()
     assert "table1-parameters.csv" in printed.out and printed.err.count("\n") == 1
     assert printed.err.startswith("fip: fig7-survival: ") and "make sweep STUDIES='survival --fresh'" in printed.err

@@ -14,6 +14,13 @@ from fiplib.studies import batch
 SHORT = Params().replace(piloting__estimate=True, estimation__window=20, estimation__generations=3)
 TRUSTED = SHORT.replace(piloting__handover="trusted", estimation__estimator="poses", pendulum__gyration_ratio=1 / 12)
 KALMAN = Params().replace(piloting__observer="kalman")
+DISTURBED = Params().replace(
+    simulation__wind=(0.5, -0.3),
+    simulation__gusts=0.3,
+    simulation__rotor_loss=0.2,
+    simulation__rotor_loss_start=1.0,
+    simulation__battery_sag=0.005,
+)
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
 
 FLIGHTS = {
@@ -36,6 +43,9 @@ FLIGHTS = {
     ),
     "Kalman observer of the rod's direction": Scenario(
         "", "", 2.0, CIRCLE, params=KALMAN.replace(piloting__pendulum_measurement="direction")
+    ),
+    "wind, gusts, a hindered rotor, a battery that sags": Scenario(
+        "", "", 2.0, CIRCLE, params=DISTURBED, pushes=(Push(0.5, (0.012, 0.0)),), told_lengths=((1.1, 0.8),)
     ),
     "other rates": Scenario(
         "", "", 2.0, CIRCLE, params=Params().replace(piloting__control_rate=100.0, simulation__mocap_latency=0.0)

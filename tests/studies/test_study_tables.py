@@ -48,30 +48,38 @@ def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_tol
     assert list(dict.fromkeys(row[0] for row in table.rows)) == list(handover.LABELS.values())
     assert [row[1] for row in table.rows] == [*list(handover.RODS.values()) * 4, handover.RODS["expected"]]
     assert table.rows[0][4:8] == ("--",) * 4
-    assert table.rows[3][1:6] == ("0.5 to 1.5", "4", "3", "100 (29 to 100)", "100")
+    assert table.rows[3][1:6] == ("0.5 to 1.5", "4", "3", "100 (29 to 100)", "100 (29 to 100)")
 
 
 def seeds_row(scenario: str, survived: int = 1, **values: float) -> dict:
-    columns = {name: math.nan for column in ledger_seeds.COLUMNS for name in (column, f"holds_{column}")}
+    columns = dict.fromkeys(ledger_seeds.COLUMNS, math.nan)
     return {"variant": "default", "scenario": scenario, "survived": survived, **columns, **values}
 
 
-def test_the_seeds_table_has_mean_spread_and_the_flights_in_which_the_row_holds():
-    rows = [
-        seeds_row("push-hover", largest_lean=0.05, holds_largest_lean=1),
-        seeds_row("push-hover", largest_lean=0.07, holds_largest_lean=0),
-        seeds_row("push-hover", survived=0),
-    ]
+def test_the_seeds_table_has_median_spread_and_the_flights_that_agree():
+    rows = [seeds_row("push-hover", push_lean=lean, kept=3.0) for lean in (0.05, 0.055, 0.06, 0.065, 0.07, 0.08)]
+    rows.append(seeds_row("push-hover", survived=0))
     lines = {row[0]: row[1:] for row in ledger_seeds.table5_seeds(rows).rows}
-    assert lines["D2"] == ("0.058", "0.060", "0.014", "0.050", "0.070", "m", "3", "1")
-    assert lines["D1"][-2:] == ("3", "2")
-    assert lines["C1"][1:5] == ("--",) * 4 and lines["C1"][-2:] == ("0", "0")
+    # of six values the interval of the median is from the least to the most; the seventh flight fell
+    assert lines["D2"] == ("0.058", "0.062", "0.050 to 0.080", "0.050", "0.080", "m", "7", "5 (0.29 to 0.96)")
+    assert lines["D1"][-2:] == ("7", "6 (0.42 to 1.00)")
+    assert lines["C1"][1:5] == ("--",) * 4 and lines["C1"][-2:] == ("0", "--")
 
 
 def test_the_seeds_table_is_in_the_order_of_the_ledger():
-    names = [row[0].split(",")[0] for row in ledger_seeds.table5_seeds([]).rows]
-    assert names[:4] == ["D1", "D2", "D3", "C1"] and names[-1] == "G6.fatal"
-    assert names.count("G4.late") == names.count("G5") == 3
+    names = [row[0] for row in ledger_seeds.table5_seeds([]).rows]
+    assert names[:4] == ["D1", "D2", "D3", "D4"] and names[-1] == "G7"
+    assert not {"M3", "G6.fatal", "R1.ga"} & set(names), "what is no number of one flight stands in the ledger only"
+
+
+def test_the_table_of_interpretations_has_the_default_first_and_both_starts():
+    flown = [{"final_length": length, "fluctuation": 0.02} for length in (0.98, 1.0, 1.04)]
+    default = [seeds_row(scenario, **values) for scenario in ledger_seeds.STARTS for values in flown]
+    readings = [row | {"variant": "every 5 s"} for row in default if row["scenario"] == "estimate-0.8"]
+    rows = ledger_seeds.table6_readings(default, readings).rows
+    assert [row[:2] for row in rows] == [(name, l0) for name in ("default", "every 5 s") for l0 in ("0.8", "1.4")]
+    assert rows[0][2:5] == ("3", "3", "1.000") and rows[0][6:8] == ("0.026", "0.020")
+    assert rows[0][8].startswith("2 (") and rows[3][2] == "0"
 
 
 def test_the_weights_table_counts_conditions_alone_and_together():
@@ -109,6 +117,16 @@ def test_the_rates_table_says_what_is_measured_and_what_extrapolated():
     assert lines[2] == ("100", "200", "2000", "100.00", "extrapolated: 1.4 h for a million")
 
 
+def test_an_interval_of_a_pooled_error_comes_from_drawing_whole_flights():
+    rows = [{"n_ga": 3, "rms_ga": 0.01, "bound_ga": 0.002}, {"n_ga": 1, "rms_ga": 0.03, "bound_ga": 0.002}]
+    value, low, high = estimators.ratio(rows, "ga")
+    assert value == pytest.approx(math.sqrt((3 * 0.01**2 + 0.03**2) / 4) / 0.002)
+    # of two flights either is drawn twice in a quarter of all draws
+    assert (low, high) == pytest.approx((5.0, 15.0))
+    # no interval of zero width where all windows count: Wilson's, n / (n + z^2)
+    assert estimators.interval([4, 4], [4, 4]) == pytest.approx((1.0, 8 / (8 + 1.959964**2), 1.0))
+
+
 def imperfect_row(name: str, **values: float) -> dict:
     columns = {"n": 6, "refused": 0, "bias": 0.0, "rms": 0.004, "covered": 6}
     estimators = ("ga", "poses")
@@ -125,8 +143,9 @@ def test_the_table_of_imperfections_says_how_many_windows_were_answered_and_how_
     rows = [imperfect_row(name, **(refused if name == "all of them" else half)) for name in IMPERFECTIONS]
     lines = {row[0]: row[1:] for row in imperfections.table11_imperfections(rows).rows}
     assert next(iter(lines)) == "none" and len(lines) == len(IMPERFECTIONS)
-    assert lines["none"] == ("4", "50", "4.0", "67")
-    assert lines["all of them"] == ("4", "0", "--", "--")
+    # one flight, which is all that a bootstrap can draw
+    assert lines["none"] == ("4 (4 to 4)", "50", "4.0 (4.0 to 4.0)", "67 (67 to 67)")
+    assert lines["all of them"] == ("4 (4 to 4)", "0", "--", "--")
     found = imperfections.facts(rows)
     assert found["all", "poses", "answered"] == "0"
     assert ("all", "poses", "rms") not in found
@@ -149,7 +168,7 @@ def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share(
     lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
     assert len(lines) == len(poses.CONDITIONS)
     # of two flights the bootstrap draws either twice in half of all draws
-    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0 (6.0 to 6.0)", "5.0", "88 (75 to 100)", "1.20")
     assert lines["noise doubled"][-1] == "--"
     assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
     found = poses.facts(rows)

@@ -50,11 +50,32 @@ def test_at_each_time_the_rod_stands_on_the_vehicle_and_points_to_its_centre_of_
         np.testing.assert_allclose(drawn["rod"].mean(axis=1), com, rtol=1e-12)  # the middle of two points: rounding
 
 
+def test_beside_it_the_lean_of_the_rod_is_five_times_as_large(flight):
+    made = animation(flight, frames_per_second=2)
+    made._func(1.0)
+    true = lines(made._fig)["rod"]
+    drawn = next(np.array(line.get_data_3d()) for line in made._fig.axes[1].lines if line.get_linewidth() == 2.2)
+    length = flight.params.pendulum.length
+    lean = (true[:, 1] - true[:, 0]) / np.linalg.norm(true[:, 1] - true[:, 0])
+    np.testing.assert_allclose((drawn[:, 1] - drawn[:, 0])[:2], 5.0 * length * lean[:2], atol=1e-9)
+    assert np.hypot(*lean[:2]) > 1e-3
+
+
+def test_what_is_past_is_coloured_and_what_comes_is_faint(flight):
+    made = animation(flight, frames_per_second=2)
+    made._func(1.0)
+    offsets = made._fig.axes[2]
+    coloured = next(line for line in offsets.lines if line.get_label() == "$a$")
+    whole = max(offsets.lines, key=lambda line: len(line.get_xdata()))
+    assert coloured.get_xdata()[-1] == pytest.approx(1.0, abs=0.01)
+    assert whole.get_xdata()[-1] > 1.9 and whole.get_alpha() == 0.25
+
+
 def test_the_player_holds_every_picture_and_asks_the_network_for_nothing(flight):
     page = player(flight, 2, dots_per_inch=40)
     shown = pictures(page)
     assert len(shown) == 4, "2 pictures a second over 2 s, less the one after the last frame of motion capture"
-    assert {picture.size for picture in shown} == {(256, 132)}, "6.4 x 3.3 inches at 40 dots per inch"
+    assert {picture.size for picture in shown} == {(320, 128)}, "8 x 3.2 inches at 40 dots per inch"
     assert not re.search(r"https?:|//[a-z]|<link", re.sub(r"const frames = \[.*?\]", "", page))
     assert not np.array_equal(*(np.asarray(picture.convert("RGB")) for picture in shown[:2])), "time passes"
 
@@ -73,7 +94,7 @@ def test_every_picture_says_that_the_flight_is_simulated(flight):
 def test_a_flight_with_motion_capture_alone_is_shown_with_its_height(flight):
     bare = dataclasses.replace(flight, state=None, command=None, reference=None, length=None, truth_length=None)
     made = animation(bare, frames_per_second=1)
-    assert made._fig.axes[2].get_ylabel() == "$z$ (m)"
+    assert made._fig.axes[3].get_ylabel() == "$z$ (m)"
     assert len(pictures(player(bare, 1, dots_per_inch=40))) == 2
 
 

@@ -6,11 +6,13 @@ Built here without running the notebooks, whose outputs ``make book`` checks in 
 import importlib.util
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 spec = importlib.util.spec_from_file_location("book", ROOT / "docs/book.py")
 book = importlib.util.module_from_spec(spec)
@@ -68,6 +70,28 @@ def html(tmp_path_factory):
 
 def test_every_link_of_the_book_leads_somewhere_and_nothing_is_fetched(html):
     assert list(book.problems(html)) == []
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the pages were not looked at in one")
+def test_no_page_shows_an_error_box_or_is_wider_than_a_screen_or_a_phone(html):
+    from playwright.sync_api import sync_playwright
+
+    wrong = []
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        pages = [path for path in html.rglob("*.html") if path.relative_to(html).parts[0] not in ("api", "_static")]
+        for width in (1280, 390):
+            page = browser.new_page(viewport={"width": width, "height": 900})
+            for path in sorted(path for path in pages if "_modules" not in path.parts):
+                page.goto(path.as_uri())
+                page.evaluate("async () => { if (window.MathJax?.startup) await MathJax.startup.promise }")
+                errors = page.locator("mjx-merror").count()
+                excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+                if errors or excess > 1:  # a pixel of rounding
+                    wrong.append((path.name, width, errors, excess))
+            page.close()
+        browser.close()
+    assert wrong == []
 
 
 def test_every_notebook_and_every_module_has_a_page(html):

@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 
 from fiplib.params import GRAVITY
-from fiplib.teaching.exercises import bags, closed_loop, ga, kalman, linearisation, mpc
-from fiplib.teaching.exercises.grading import Exercise, NotYet
+from fiplib.teaching.exercises import bags, closed_loop, ga, kalman, lagrangian, linearisation, mpc
+from fiplib.teaching.exercises.grading import Exercise
+from fiplib.teaching.exercises.results import NotYet
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 TEACHING = {
+    "01-lagrangian": lagrangian,
     "02-linearisation": linearisation,
     "03-mpc": mpc,
     "04-kalman-filter": kalman,
@@ -188,7 +190,33 @@ def all_coordinates(stamp, position):
     return np.append(True, (stamp[1:] > stamp[:-1]) & moved)
 
 
+def falls_from_rest(a, b, a_rate, b_rate, seat_acceleration, length, g=GRAVITY):
+    q = np.array([a, b, np.sqrt((length / 2) ** 2 - a**2 - b**2)]) / (length / 2)
+    alpha = seat_acceleration + np.array([0, 0, g])
+    return (q * (q @ alpha) - alpha)[:2]
+
+
+def small_angles(a, b, a_rate, b_rate, seat_acceleration, length, g=GRAVITY):
+    return 2 * g / length * np.array([a, b]) - seat_acceleration[:2]
+
+
 WRONG: dict[str, list[tuple[Callable, str]]] = {
+    "height_rate": [
+        (lambda a, b, va, vb, l: (a * va + b * vb) / np.sqrt(l**2 / 4 - a**2 - b**2), "the height falls"),
+        (lambda a, b, va, vb, l: -(a * va + b * vb) / np.sqrt(l**2 - a**2 - b**2), "the radius is l/2"),
+    ],
+    "mass_matrix": [
+        (lambda a, b, l: [[1, 0], [0, 1]], "the upright rod"),
+        (lambda a, b, l: np.eye(2) + np.diag([a**2, b**2]) / (l**2 / 4 - a**2 - b**2), "the product a b is missing"),
+    ],
+    "accelerations": [
+        (falls_from_rest, "the sphere's term is missing"),
+        (small_angles, "not changed by `a_rate`"),
+    ],
+    "inertia_factor": [
+        (lambda ratio: 3 / 4, "the uniform rod"),
+        (lambda ratio: (0.5 + ratio) ** 2 / (1 / 12 + ratio) / (1 + ratio), "about the seat it is 1/3"),
+    ],
     "growth_rate": [
         (lambda l, k2: np.sqrt(2 * GRAVITY / l), "the rod's inertia is missing"),
         (lambda l, k2: np.sqrt(GRAVITY / l / (1 + 4 * k2)), "the centre of mass lies at l/2"),
@@ -291,8 +319,8 @@ def test_a_wrong_answer_is_refused_with_its_mistake(name: str) -> None:
         (lambda l: l, "stops with TypeError"),
         (lambda l, k2: np.nan * l, "nan"),
         (lambda l, k2: np.ones(2), "a number, not an array of shape (2,)"),
-        (lambda l, k2: (l, l), "a number, not a number and a number"),
-        (lambda l, k2: 1.0, "try d = exp(s t)"),
+        (lambda l, k2: (l, l), "a number, not an array of shape (2,)"),
+        (lambda l, k2: l**0.7 + k2**1.3, "a rod that leans grows exponentially"),
         (4.43, "not callable"),
     ],
 )
@@ -306,6 +334,7 @@ def test_an_answer_that_stops_is_refused_with_the_line_in_its_cell() -> None:
     names: dict[str, Any] = {}
     exec("def rate(length, gyration_ratio):\n    half = length / 2\n    return half.size", names)
     sentence = "your function stops in line 3 of its cell with AttributeError: 'float' object has no attribute 'size'"
+    sentence += " (at length = 1.347, gyration_ratio = 0.06856)"
     assert words("growth_rate", names["rate"]) == sentence
 
 

@@ -207,7 +207,7 @@ def fly_tapped(port: int, arguments: list[str]) -> int:
     return status
 
 
-def stop(process: str, seconds: float = math.inf):
+def stop(process: str, seconds: float = math.inf) -> Callable[[Witness], None]:
     """Return what stops a process, and lets it go on after so many seconds."""
 
     def hit(witness: Witness) -> None:
@@ -220,7 +220,7 @@ def stop(process: str, seconds: float = math.inf):
     return hit
 
 
-def send(process: str, *names: str, times: int = 1):
+def send(process: str, *names: str, times: int = 1) -> Callable[[Witness], None]:
     """Return what sends signals to a process, or to those that are started in its place."""
 
     def hit(witness: Witness) -> None:

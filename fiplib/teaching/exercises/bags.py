@@ -26,7 +26,14 @@ velocities = Exercise(
         ),
         "frames do not come at exactly 240 Hz: take each one's own time": lambda t, p: np.diff(p, axis=0) * 240.0,
         "the sign is wrong: later minus earlier": lambda t, p: -_velocities(t, p),
+        "positions are not differences: a velocity is a difference divided by its time": lambda t, p: (
+            p[1:] / (np.diff(t)[:, None] / 1e9)
+        ),
+        "the time of a frame is not the time between frames: take differences of the stamps": lambda t, p: (
+            np.diff(p, axis=0) / (t[1:, None] / 1e9)
+        ),
     },
+    "each difference of positions has its own difference of stamps; look at the unit of the stamps",
     "np.diff(position, axis=0) by np.diff(stamp) in s; stamps are subtracted as whole numbers first",
     "but the closer the frames, the noisier the velocity",
 )
@@ -40,7 +47,22 @@ length_from_lean = Exercise(
         "a mean of ratios is ruled by moments of hardly any tilt: fit a slope": lambda d, tilt: 2 * np.mean(d / tilt),
         "that fits the tilt to the offset, whose noise biases the length": lambda d, tilt: 2 * (d @ d) / (d @ tilt),
         "the ratio is upside down: offset over tilt is a length": lambda d, tilt: 2 * (d @ tilt) / (d @ d),
+        "a ratio of means says nothing where both are near zero: fit a slope": lambda d, tilt: (
+            2 * d.mean() / tilt.mean()
+        ),
+        "half the length, by means: fit a slope": lambda d, tilt: d.mean() / tilt.mean(),
+        "a median of ratios is ruled by moments of hardly any tilt: fit a slope": lambda d, tilt: (
+            2 * np.median(d / tilt)
+        ),
+        "that is the sum of products: divide by the sum of the squares of the tilt": lambda d, tilt: 2 * (d @ tilt),
+        "a ratio of sizes counts the noise as lean: fit a slope": lambda d, tilt: 2 * np.sqrt((d @ d) / (tilt @ tilt)),
+        "the square of a sum is not the sum of squares": lambda d, tilt: 2 * (d @ tilt) / tilt.sum() ** 2,
+        "your line has an intercept: it is to go through zero": lambda d, tilt: 2 * np.polyfit(tilt, d, 1)[0],
+        "ratios are added up: fit a slope": lambda d, tilt: 2 * np.sum(d / tilt),
+        "a ratio of the scatters counts the noise as lean: fit a slope": lambda d, tilt: 2 * d.std() / tilt.std(),
+        "one sample decides, the largest: fit a slope to all": lambda d, tilt: 2 * d.max() / tilt.max(),
     },
+    "fit a line through zero to the offset as a function of the tilt; how is its slope related to the length?",
     "offset = (l/2) tilt: the slope that fits best is sum(offset * tilt) / sum(tilt^2)",
     "in slow motion this ratio is the length, whatever the rod's inertia",
 )
@@ -72,6 +94,7 @@ fresh = Exercise(
         "that is the other way round: True keeps a frame": lambda t, p: ~_fresh(t, p),
         "the first frame has none before it: keep it, one value for each frame": lambda t, p: _fresh(t, p)[1:],
     },
+    "two things must be new in a frame that you keep: its time and its place",
     "compare each frame with the one before; keep it if its stamp is later and any coordinate differs",
     "such frames would have said that the vehicle stands still",
 )

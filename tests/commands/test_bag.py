@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import fiplib as fip
-from fiplib import bag as command
 from fiplib.bags import cut
+from fiplib.commands import bag as command
 from fiplib.estimators.poses import planar
 from fiplib.params import FipError
 from fiplib.recording import BagError
 from fiplib.teaching.cart import simulated_cart
 
-BAG = Path(__file__).parents[1] / "data" / "estimate-1.4"  # simulated, a uniform rod of 1 m
+BAG = Path(__file__).parents[2] / "data" / "estimate-1.4"  # simulated, a uniform rod of 1 m
 
 
 def run(*arguments: object) -> int:
@@ -131,7 +131,7 @@ def test_a_rotary_arm_has_a_radius(tmp_path, capsys):
 
 
 def test_a_real_rotary_arm_of_six_centimetres_is_answered(capsys):
-    root = os.environ.get("FIP_REAL", Path(__file__).parents[1] / "../shared/real")
+    root = os.environ.get("FIP_REAL", Path(__file__).parents[2] / "../shared/real")
     path = Path(root) / "furuta/upright.csv"
     if not path.exists():
         pytest.skip(f"no recording at {path}; FIP_REAL names the directory that holds furuta/upright.csv")
