@@ -281,19 +281,12 @@ def table17_choices(rows: Rows) -> Table:
 
 
 def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
-<<<<<<< HEAD
-    """Fig. 20: posterior share of each level of every unprinted choice, 20 flights of a 1 m rod a combination; a line
-    marks the share before: four choices are settled. Middle: the most probable combination with its estimates fed back,
-    four flights a start, beside the paper's three. Below: share of 20 flights, with 95 % intervals, in which its
-    remarks on the search hold, by the size of a run."""
-=======
     """Fig. 20: which unprinted choices give the paper's Table 3: posterior shares, and the most probable ones flown.
 
-    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m. Above: posterior share of each
+    20 simulated flights of a rod of 1 m serve all combinations and first lengths. Above: posterior share of each
     level of each choice; orange: its share before. Middle: convergence time and length of flights of the most probable
-    combination (circles) beside the paper's (stars). Below: how often the paper's remarks on the search come true.
+    combination, four with feedback a start (circles), and the paper's (stars). Below: how often the paper's remarks on the search come true.
     """
->>>>>>> main
     figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
     above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
     _draw_shares(above.subplots(), posterior(log_probabilities(rows)))
