@@ -285,7 +285,8 @@ def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
 
     20 simulated flights of a rod of 1 m serve all combinations and first lengths. Above: posterior share of each
     level of each choice; orange: its share before. Middle: convergence time and length of flights of the most probable
-    combination, four with feedback a start (circles), and the paper's (stars). Below: how often the paper's remarks on the search come true.
+    combination (circles; with feedback, four flights a start), and those of the paper (stars). Below: how often the
+    remarks of the paper on the search come true.
     """
     figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
     above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
