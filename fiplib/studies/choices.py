@@ -87,8 +87,8 @@ HALF_DIGITS = {"G1": HALF_DIGIT, "G2": HALF_DIGIT, "G3": 5e-2}
 """The same of the errors, m: the third is printed as 0.0."""
 
 KERNEL = (0.01, 0.25)
-"""Standard deviations in m and s of the Gaussian kernels: about what the neglected feedback moves a single flight by
-(``choices_checks``), so that nothing finer is read from the runs than they hold."""
+"""Standard deviations in m and s of the Gaussian kernels, coarser than the rounding: nothing finer is read from 20
+flights. ``wide`` doubles them; the neglected feedback moves a single flight by more (``choices_checks``)."""
 
 SENSITIVITY = {"fit": (1.0, HALF_DIGITS["G3"]), "wide": (2.0, HALF_DIGITS["G3"]), "strict": (1.0, HALF_DIGIT)}
 """Columns: as stated; with kernels twice as wide; and with the third error taken to be 0.000."""
@@ -329,6 +329,7 @@ def _draw_flights(axes: Axes, flown: Rows) -> None:
         label = f"paper, $l_0$ = {start} m"
         axes.plot(PAPER[f"{id}.time"], PAPER[f"{id}.length"], "*", ms=8, mec="black", mew=0.5, label=label, **style)
     axes.axhline(1.0, color="black", lw=0.5)
+    axes.margins(y=0.15)
     axes.set(xlabel="convergence time (s)", ylabel="length (m)", xlim=(0, runs.SECONDS))
     axes.figure.legend(loc="outside upper center", ncols=3, handlelength=0.8)
 
