@@ -29,7 +29,7 @@ LATEX_PACKAGES := texlive-latex-extra texlive-publishers texlive-science texlive
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules
 
-.PHONY: help figures test fuzz notebooks lab book pdf film bags sweep bench paper latex lint audit clean
+.PHONY: help figures test fuzz notebooks lab book pdf slides student film bags sweep bench paper latex lint audit clean
 
 help: ## show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
@@ -64,6 +64,12 @@ film: .venv/installed ## make the film of the README from a recorded flight, doc
 
 pdf: .venv/installed ## print the book as one PDF, docs/build/fip.pdf (needs chromium)
 	@$(PY) docs/book.py --pdf
+
+slides: .venv/installed ## make the slides of three lectures from the notebooks, docs/build/slides
+	@$(PY) docs/slides.py
+
+student: .venv/installed ## make a copy for students without solutions, build/student and build/student.zip
+	@$(PY) -m fiplib.teaching.handout build/student
 
 bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone: make fly-circle-0.8)
 	$(PY) -m fiplib.reproduction.stored $(foreach name,$(BAGS),data/$(name)/$(name).mcap data/$(name)/metadata.yaml)
@@ -101,7 +107,7 @@ audit: .venv-audit/installed ## ask the database of Python's advisories about ev
 
 clean: ## remove what was made; data/, .venv and the page figures/README.md stay
 	rm -f $(foreach suffix,pdf png csv tex txt,figures/*.$(suffix))
-	rm -rf .make paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
+	rm -rf .make build paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
 
 LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}}
