@@ -352,7 +352,7 @@ def facts(rows: Rows) -> Facts:
         "calmdesigned": "designed, calm",
     }
     words = {"20": "twenty", "10": "ten", "5": "five"}
-    found: Facts = {("seeds",): f"{len(SEEDS)}"}
+    found: Facts = {("seeds",): f"{len(SEEDS)}", ("wanted",): f"{1e3 * WANTED:g}"}
     for (name, excitation), (wanted, word) in itertools.product(names.items(), words.items()):
         reaching = Mean.of(times_to(rows, excitation, wanted))
         found[name, word] = f"{reaching.value:.2f}"
