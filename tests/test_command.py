@@ -22,6 +22,7 @@ ANSWERS = {
     "sweep": ("sweep", "--list"),
     "faults": ("faults", "--list"),
     "firmware": ("firmware", "--help"),
+    "view": ("view", "data/circle-0.8", "--output", os.devnull),
 }
 """A quick call of each subcommand; that of ``claims`` is a mistake, since the ledger takes minutes."""
 LONG = {
@@ -31,6 +32,7 @@ LONG = {
     "fly": ("fly", "--scenario", "estimate-1.4", "--output", "{folder}/flight"),
     "sweep": ("sweep", "survival", "--workers", "1", "--data", "{folder}"),
     "faults": ("faults", "--output", "{folder}/faults.csv"),
+    "view": ("view",),
 }
 """A call of each subcommand that takes seconds or more."""
 

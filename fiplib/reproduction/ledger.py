@@ -356,6 +356,9 @@ def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:
         named |= {macro(name, row.id): getattr(row, name) for name in NUMBERS if getattr(row, name) != "inf"}
         named |= {macro("Fact", row.id, name): text for name, text in row.facts.items()}
     named |= {macro("Count", kind): str(count) for kind, count in {"rows": len(rows), **counted(rows)}.items()}
+    tolerances = [row for row in rows if row.half]
+    changed = [row for row in tolerances if {row.half, row.twice} != {row.verdict}]
+    named |= {macro("Count", "tolerances"): f"{len(tolerances)}", macro("Count", "changed"): f"{len(changed)}"}
     named |= {macro("Study", *words): text for words, text in facts.items()}
     return {name: text for name, text in named.items() if text}
 

@@ -21,7 +21,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from fiplib.reproduction.measures import binomial_interval
 
@@ -105,7 +105,7 @@ def middle(values: Sequence[float]) -> Middle:
     ordered = np.sort([value for value in values if not math.isnan(value)])
     if not len(ordered):
         return Middle(math.nan, math.nan, math.nan)
-    rank = int(binom.ppf(0.025, len(ordered), 0.5))
+    rank = int(np.searchsorted(bdtr(np.arange(len(ordered)), len(ordered), 0.5), 0.025))
     low, high = (ordered[rank - 1], ordered[-rank]) if rank else (math.nan, math.nan)
     centre = ordered[(len(ordered) - 1) // 2 : len(ordered) // 2 + 1]  # of infinite ones, too
     return Middle(float(centre.mean()), float(low), float(high))

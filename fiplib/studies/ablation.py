@@ -245,4 +245,9 @@ def facts(rows: Rows) -> Facts:
             (*arm, "rms"): f"{100 * one.rms[0]:.2f}",
             (*arm, "covered"): f"{100 * one.covered[0]:.0f}" if one.covered[0] else NONE,
         }
+        for name, (_, low, high), decimals in (("bias", one.bias, 2), ("rms", one.rms, 2), ("covered", one.covered, 0)):
+            found |= {
+                (*arm, name, "low"): f"{100 * low:.{decimals}f}",
+                (*arm, name, "high"): f"{100 * high:.{decimals}f}",
+            }
     return found

@@ -355,6 +355,12 @@ def facts(rows: Rows) -> Facts:
             (name, "rms"): f"{1e3 * one.rms:.2f}",
             (name, "ratio"): f"{one.rms / one.bound:.2f}",
         }
+        given = answered(chosen, name)
+        for column, statistic in (("bias", pooled_bias), ("rms", pooled_rms)):
+            _, low, high = resampled(given, statistic, f"n_{name}", f"{column}_{name}")
+            found |= {(name, column, "low"): f"{1e3 * low:.2f}", (name, column, "high"): f"{1e3 * high:.2f}"}
+        _, low, high = interval(*([row[f"{column}_{name}"] for row in given] for column in ("covered", "n")))
         if not math.isnan(one.covered):
             found[name, "covered"] = f"{100 * one.covered:.1f}"
+            found[name, "covered", "low"], found[name, "covered", "high"] = f"{100 * low:.1f}", f"{100 * high:.1f}"
     return found

@@ -245,11 +245,24 @@ def facts(rows: Rows) -> Facts:
             (policy, "flights"): f"{one.flights}",
             (policy, "up"): f"{one.up}",
             (policy, "kept"): f"{100 * one.kept:.1f}",
+            (policy, "kept", "low"): f"{100 * one.low:.0f}",
+            (policy, "kept", "high"): f"{100 * one.high:.0f}",
             (policy, "time"): f"{one.mean_time:.2f}",
+            (policy, "late"): f"{one.late_time:.2f}",
+            (policy, "right"): f"{100 * one.right:.0f}",
             (policy, "longest"): f"{one.longest:.2f}",
         }
         others = [handed_over(rows, policy, rods) for rods in ("shorter", "longer")]
         if all(other.flights for other in others):
             found[policy, "outside", "flights"] = f"{sum(other.flights for other in others)}"
             found[policy, "outside", "up"] = f"{sum(other.up for other in others)}"
+        for rods, other in zip(("shorter", "longer"), others, strict=True):
+            if other.flights:
+                low, high = measures.binomial_interval(other.up, other.flights)
+                found |= {
+                    (policy, rods, "flights"): f"{other.flights}",
+                    (policy, rods, "up"): f"{other.up}",
+                    (policy, rods, "low"): f"{100 * low:.0f}",
+                    (policy, rods, "high"): f"{100 * high:.0f}",
+                }
     return found

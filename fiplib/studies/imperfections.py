@@ -178,6 +178,12 @@ def facts(rows: Rows) -> Facts:
             one = pooled(chosen, name)
             found[key, name, "answered"] = _answered(chosen, name)
             if one.windows:
+                given = answered(chosen, name)
+                _, low, high = resampled(given, pooled_rms, f"n_{name}", f"rms_{name}")
+                found |= {
+                    (key, name, "rms", "low"): f"{1e3 * low:.1f}",
+                    (key, name, "rms", "high"): f"{1e3 * high:.1f}",
+                }
                 found[key, name, "rms"] = f"{1e3 * one.rms:.1f}"
                 found[key, name, "covered"] = f"{100 * one.covered:.0f}"
     return found

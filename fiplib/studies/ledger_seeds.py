@@ -11,7 +11,7 @@ ledger (``reproduction.claims``) judges them. ``VARIANTS`` fly with one thing ch
 - *outlier*: a length 0.85 m too long for 2 s; *short outlier*: a change by 0.9 m to 0.2 m for 2 s; *standing*: the long
   one to the end; *standing in steps*: the same by 5 cm each (G6).
 
-500 rows; ``Readings`` are 160 of the estimator under other interpretations of the paper. About 15 and 8 minutes of one
+500 rows; ``Readings`` are 160 of the estimator under other interpretations of the paper. About 11 and 4 minutes of one
 core.
 """
 

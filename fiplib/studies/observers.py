@@ -243,13 +243,17 @@ def facts(rows: Rows) -> Facts:
     for name, observer in (("differentiated", "differentiated"), ("Kalman", "Kalman")):
         lengths, loop = surviving(rows, observer), _rows(rows, "hover", observer)[0]
         found |= {
-            (name, "rate"): f"{mean(rows, 'hover', observer, 'rate')[0]:.1f}",
-            (name, "lean"): f"{100 * mean(rows, 'pushes', observer, 'lean')[0]:.1f}",
             (name, "delay"): f"{1e3 * loop['delay_margin']:.0f}",
             (name, "shortest"): f"{lengths[0]:.1f}",
             (name, "longest"): f"{lengths[-1]:.1f}",
         }
-        for flight in ("hover", "circle"):
-            for column in ("bound", "deviation"):
-                found[name, flight, column] = f"{1e3 * mean(rows, flight, observer, column)[0]:.1f}"
+        means = {("rate",): ("hover", "rate", 1.0), ("lean",): ("pushes", "lean", 100.0)}
+        means |= {
+            (flight, column): (flight, column, 1e3)
+            for flight in ("hover", "circle")
+            for column in ("bound", "deviation")
+        }
+        for words, (flight, column, factor) in means.items():
+            value, half = (factor * part for part in mean(rows, flight, observer, column))
+            found[name, *words], found[name, *words, "half"] = f"{value:.1f}", f"{half:.1f}"
     return found

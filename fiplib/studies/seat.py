@@ -16,7 +16,7 @@ from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
 from fiplib.recording import Flight
 from fiplib.references import Circle, Hover
-from fiplib.reproduction.measures import rms
+from fiplib.reproduction.measures import binomial_interval, rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
@@ -199,6 +199,9 @@ def facts(rows: Rows) -> Facts:
     for length, word in zip(LENGTHS, ("shortest", "short", "middle", "longest"), strict=True):
         for stated, knowledge in ((SEAT, "known"), (0.0, "unknown")):
             some = [_row(rows, motion, length, SEAT, stated) for motion in MOTIONS]
-            found[word, knowledge, "up"] = f"{sum(int(row['survived']) for row in some)}"
+            up = sum(int(row["survived"]) for row in some)
+            low, high = binomial_interval(up, len(MOTIONS) * len(SEEDS))
+            found[word, knowledge, "up"] = f"{up}"
+            found[word, knowledge, "low"], found[word, knowledge, "high"] = f"{100 * low:.0f}", f"{100 * high:.0f}"
             found[word, knowledge, "seconds"] = f"{min(row['seconds'] for row in some):.1f}"
     return found | {("flights",): f"{len(MOTIONS) * len(SEEDS)}"}

@@ -62,15 +62,16 @@ WEIGHTS = {
 """State weights Q of the controllers by name, in the order of ``params.STATES``."""
 
 
-class Target:
+class Target(Reference):
     """A reference that is moved in flight: a place that glides to the next one, and a circle through it if asked.
 
     A glide begins and ends at rest and takes as long as ``SPEED`` demands; the controller sees it coming, as far as its
     horizon reaches.
     """
 
-    def __init__(self, height: float = 1.3) -> None:
-        self.height = height
+    height: float = 1.3
+
+    def __init__(self) -> None:
         self._from, self._to, self._since, self._lasts = np.zeros(2), np.zeros(2), 0.0, 1.0
         self._circle: Circle | None = None
 

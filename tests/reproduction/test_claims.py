@@ -1,5 +1,6 @@
 """Every claim: its criterion at the edge, its evidence from made-up rows, every verdict; then the whole ledger."""
 
+import argparse
 import csv
 import io
 import math
@@ -367,6 +368,22 @@ def test_the_readme_shows_the_headline_that_the_command_prints():
     begin, end = "<!-- headline: written by `fip claims --markdown` -->", "<!-- end of headline -->"
     shown = (ROOT / "README.md").read_text(encoding="utf-8").partition(begin)[2].partition(end)[0]
     assert shown.strip() == ledger.headline(ROOT / "data").strip()
+
+
+def test_the_command_prints_the_summary_the_reasons_or_the_headline(judged_rows, monkeypatch, capsys):
+    parser = argparse.ArgumentParser()
+    ledger.add_arguments(parser)
+    monkeypatch.setattr(ledger, "evaluate", lambda *_, **__: judged_rows)
+
+    def printed(*words: str) -> str:
+        assert ledger.run(parser.parse_args(["--data", str(ROOT / "data"), *words])) == 0
+        return capsys.readouterr().out
+
+    assert printed() == ledger.as_text(judged_rows) + "\n"
+    assert printed("--verbose") == ledger.as_text(judged_rows, verbose=True) + "\n"
+    assert printed("--markdown") == ledger.as_markdown(judged_rows)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--verbose", "--markdown"])
 
 
 def test_the_table_of_sensitivity_has_each_tolerant_row_and_three_verdicts():

@@ -5,6 +5,8 @@ import math
 import pytest
 
 from fiplib.controllers import CONTROLLERS
+from fiplib.estimators.handover import TrustedHandOver
+from fiplib.params import Params
 from fiplib.studies import field as study
 
 ROW = {
@@ -27,8 +29,25 @@ def test_every_controller_of_the_registry_is_in_the_field_and_flies_the_same_cas
         name: [(case["flight"], case["length"], case["seed"]) for case in cases if case["controller"] == name]
         for name in study.FIELD
     }
-    assert len(flown["mpc"]) == 20 * (len(study.LENGTHS) + 5) and set(flown["nonlinear_mpc"]) < set(flown["mpc"])
-    assert all(found == flown["mpc"] for name, found in flown.items() if name != "nonlinear_mpc")
+    assert len(flown["mpc"]) == 20 * (len(study.LENGTHS) + 5)
+    fewer = {"nonlinear_mpc", "adaptive_mpc"}
+    assert all(set(flown[name]) < set(flown["mpc"]) for name in fewer)
+    assert all(found == flown["mpc"] for name, found in flown.items() if name not in fewer)
+    assert [length for flight, length, seed in flown["adaptive_mpc"] if (flight, seed) == ("pushed", 0)] == [
+        1,
+        1.6,
+        1.8,
+    ]
+
+
+def test_a_first_length_among_the_rods_to_expect_changes_nothing_for_the_adaptive_mpc():
+    for length in study.LENGTHS:
+        stands_for = study.flown_with("adaptive_mpc", length)
+        one, other = (
+            TrustedHandOver(Params().replace(piloting__initial_length=value)) for value in (length, stands_for)
+        )
+        assert (one.used, *one.believed) == (other.used, *other.believed)
+    assert study.flown_with("mpc", 1.3) == 1.3
 
 
 @pytest.mark.parametrize("flight", study.FLIGHTS)
@@ -78,6 +97,9 @@ def test_the_table_has_a_column_for_each_controller_and_times_where_they_were_me
 def test_the_figure_shows_every_share_and_facts_are_words_and_numbers():
     figure = study.fig21_field(rows())
     shown = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert shown == (["100"] * 5 + ["0"] * 5) * len(study.FIELD)
+    expected = {name: ["100"] * 5 + ["0"] * 5 for name in study.FIELD}
+    expected["adaptive_mpc"] = ["100"] * 8 + ["0"] * 2  # up to 1.5 m the flight with 1 m stands for the others
+    expected["nonlinear_mpc"] = ["", "", "100", "", "", "", "0", "", "0", ""]  # three lengths
+    assert shown == [word for words in expected.values() for word in words]
     facts = study.facts(rows())
     assert facts["mpc", "longest"] == "1.2" and facts["mpc", "pushed", "rate"] == "26.0"

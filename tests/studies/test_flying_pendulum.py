@@ -39,7 +39,7 @@ def test_the_table_states_what_is_fitted_and_what_is_tested():
     table = study.table19_flying_pendulum([row(case) for case in study.cases()])
     kinds = {line[0]: line[-1] for line in table.rows}
     assert [name for name, kind in kinds.items() if kind.startswith("fitted")] == [
-        table.rows[0][0],
+        *(line[0] for line in table.rows[:3]),
         "Static offset, turned (cm)",
     ]
     assert all(kind == "tested" for name, kind in kinds.items() if "Circle" in name)

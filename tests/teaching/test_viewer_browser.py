@@ -84,6 +84,13 @@ def wait_until(page, condition) -> None:
     assert condition()
 
 
+def test_the_frame_of_a_notebook_shows_the_view(page) -> None:
+    with Viewer() as view:
+        page.set_content(f"<p>a cell</p>{view.show(500)._repr_html_()}")
+        page.frame_locator("iframe").get_by_text(re.compile(r"length in use 1\.000 m")).wait_for()
+        assert page.locator("iframe").bounding_box()["height"] == pytest.approx(500, abs=5)
+
+
 def test_a_recorded_flight_plays_from_one_file_without_a_server_and_without_the_network(page, tmp_path) -> None:
     path = tmp_path / "flight.html"
     write_page(bags.read(ROOT / "data/estimate-1.4"), path)
