@@ -79,7 +79,7 @@ class Multisine(Reference):
     ramp: float = 1.0
     height: float = 1.3
     wanted: float = 0.0
-    fade: float = 1.5
+    fade: float = 6.0
     known: float | None = None
 
     def __post_init__(self) -> None:

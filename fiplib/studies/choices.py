@@ -7,7 +7,7 @@ is called convergence. ``choices_runs`` says how they are run: in 20 flights of 
 ``fit_ARM`` is the log of the probability of the paper's numbers, ``log_probability``, and ``wide_ARM``, ``strict_ARM``
 the same under two other assumptions, ``SENSITIVITY``. ``within_ARM``: how many of its six independent numbers lie in
 the central 95 % of the simulated ones; each error is that of its length, so that six say all that nine do.
-22 rows, SECONDS_TO_STATE.
+22 rows, about 5 minutes of one core.
 """
 
 import itertools
@@ -87,8 +87,8 @@ HALF_DIGITS = {"G1": HALF_DIGIT, "G2": HALF_DIGIT, "G3": 5e-2}
 """The same of the errors, m: the third is printed as 0.0."""
 
 KERNEL = (0.01, 0.25)
-"""Standard deviations in m and s of the Gaussian kernels: about what the neglected feedback moves a single flight by
-(``choices_checks``), so that nothing finer is read from the runs than they hold."""
+"""Standard deviations in m and s of the Gaussian kernels, coarser than the rounding: nothing finer is read from 20
+flights. ``wide`` doubles them; the neglected feedback moves a single flight by more (``choices_checks``)."""
 
 SENSITIVITY = {"fit": (1.0, HALF_DIGITS["G3"]), "wide": (2.0, HALF_DIGITS["G3"]), "strict": (1.0, HALF_DIGIT)}
 """Columns: as stated; with kernels twice as wide; and with the third error taken to be 0.000."""
@@ -239,7 +239,8 @@ def questions(found: Posterior) -> str:
     def named(choice: str) -> str:
         name, levels = LEVELS[choice]
         at = int(found.shares[choice].argmax())
-        return f"the {name} (most probably: {word(choice, levels[at])}, {100 * found.shares[choice][at]:.0f}" + r"\,\%)"
+        percent = f"{100 * found.shares[choice][at]:.0f}" if found.shares[choice][at] < 0.99 else "over 99"
+        return f"the {name} (most probably: {word(choice, levels[at])}, {percent}" + r"\,\%)"
 
     sentences = []
     if open_:
@@ -282,9 +283,10 @@ def table17_choices(rows: Rows) -> Table:
 def fig20_choices(rows: Rows, flown: Rows, exploring: Rows) -> Figure:
     """Fig. 20: which unprinted choices give the paper's Table 3: posterior shares, and the most probable ones flown.
 
-    From 20 simulated flights for each of the paper's three first lengths, a rod of 1 m. Above: posterior share of each
+    20 simulated flights of a rod of 1 m serve all combinations and first lengths. Above: posterior share of each
     level of each choice; orange: its share before. Middle: convergence time and length of flights of the most probable
-    combination (circles) beside the paper's (stars). Below: how often the paper's remarks on the search come true.
+    combination (circles; with feedback, four flights a start), and those of the paper (stars). Below: how often the
+    remarks of the paper on the search come true.
     """
     figure = Figure(figsize=(COLUMN, 7.6), layout="constrained")
     above, middle, below = figure.subfigures(3, 1, height_ratios=(4.6, 1.5, 1.7))
@@ -327,6 +329,7 @@ def _draw_flights(axes: Axes, flown: Rows) -> None:
         label = f"paper, $l_0$ = {start} m"
         axes.plot(PAPER[f"{id}.time"], PAPER[f"{id}.length"], "*", ms=8, mec="black", mew=0.5, label=label, **style)
     axes.axhline(1.0, color="black", lw=0.5)
+    axes.margins(y=0.15)
     axes.set(xlabel="convergence time (s)", ylabel="length (m)", xlim=(0, runs.SECONDS))
     axes.figure.legend(loc="outside upper center", ncols=3, handlelength=0.8)
 

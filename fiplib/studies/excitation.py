@@ -6,7 +6,7 @@ paper's ``ga`` from 0.8 m on. Beside what becomes of the flight a row has, at ``
 estimate states and how wrong it is, and the Cramer-Rao bound of all poses so far.
 
 ``design`` looks for the multisine whose bound falls to ``WANTED`` soonest while |a| and |b| stay below ``LEAN``; it
-made ``DESIGNED``. What was found: docs/studies.md. 260 rows, about 4 minutes of one core; the design takes
+made ``DESIGNED``. What was found: docs/studies.md. 280 rows, about 4 minutes of one core; the design takes
 three: ``python -m fiplib.studies.excitation``.
 """
 
@@ -51,8 +51,9 @@ WANTED = 0.005
 DEVIATIONS = {"20": 0.02, "10": 0.01, "5": 0.005}
 """Standard deviations whose times are compared, m, by their mm."""
 
-DESIGNED = Multisine(0.1185, (0.4083, -0.1672, -0.0906, 0.0986), (0.8639, -0.3538, -0.1915, 0.2086), ramp=0.946)
-"""What ``design()`` returns."""
+FOUND = Multisine(0.1185, (0.4083, -0.1672, -0.0906, 0.0986), (0.8639, -0.3538, -0.1915, 0.2086), ramp=0.946)
+DESIGNED = Multisine(0.1185, (0.3476, -0.1424, -0.0771, 0.084), (0.6987, -0.2861, -0.1549, 0.1687), ramp=0.946)
+"""What ``design()`` finds, and what it returns: the same smaller, as far as no noise takes the rod beyond ``LEAN``."""
 
 ESTIMATED: dict[str, dict] = {
     "poses": {"estimation__estimator": "poses", "piloting__handover": "trusted"},
@@ -74,13 +75,15 @@ EXCITATIONS = {
     "circle 0.8 m / 9 s": Excitation(Circle(0.8, 9.0, start=0.0, ramp=2.0), {}),
     "circle 0.8 m / 9 s, slow start": Excitation(Circle(0.8, 9.0), {}),
     "designed": Excitation(DESIGNED, {}),
+    "designed, lean of the circle": Excitation(FOUND, {}),
     "designed, until known": Excitation(replace(DESIGNED, wanted=WANTED), {}),
     "hover, calm": Excitation(Hover(), _CALM),
     "circle 0.8 m / 9 s, calm": Excitation(Circle(0.8, 9.0, start=0.0, ramp=2.0), _CALM),
     "designed, calm": Excitation(DESIGNED, _CALM),
 }
-"""Circles come to speed within 2 s; the slow start is that of our bags, 4 s after a second of hover. "calm" is the
-Kalman observer, whose commands are a quarter as large."""
+"""Circles come to speed within 2 s; the slow start is that of our bags, 4 s after a second of hover. With other noise
+the circle of 0.8 m leans further than ``LEAN``, and ``FOUND`` as far as that. "calm" is the Kalman observer, whose
+commands are a quarter as large."""
 
 TO_THE_END = ("hover", "circle 0.4 m / 8 s", "circle 0.8 m / 9 s", "designed")
 """What the genetic algorithm flies, too."""
@@ -252,7 +255,8 @@ def fig22_excitation(rows: Rows) -> Figure:
     medians (means of the paths), bands: 5 to 95 %. Top: paths of the first 3 s, a dot every 0.2 s, and the largest of
     |a| and |b| since the time before; grey: the lean that the design may take. Bottom: stated standard deviation,
     crosses: root mean square error, black: Cramer-Rao bound (6 flights), grey: the deviation designed for, at which
-    the excitation ends. All states what the bound allows; the design leans along both axes at once.
+    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to come to
+    10 mm, with less lean than the circle, and gains nothing near 5 mm, where the seat's height limits all of them.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     panels = figure.subplot_mosaic([["path", "lean"], ["known", "known"]], height_ratios=(1.0, 1.6))
@@ -278,7 +282,7 @@ def fig22_excitation(rows: Rows) -> Figure:
         xlabel="x from the start (m)", ylabel="y from the start (m)", aspect="equal", adjustable="datalim"
     )
     panels["lean"].set(xlabel="time (s)", ylabel="|a|, |b| (cm)", ylim=(0.0, None), xlim=(0.0, 3.0))
-    known.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="std. deviation (mm)", xlim=(0.4, SECONDS))
+    known.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="std. deviation (mm)", xlim=(0.4, 1.04 * SECONDS))
     for axis, ticks in ((known.xaxis, (0.5, 1, 2, 5, 10)), (known.yaxis, (3, 5, 10, 20, 50))):
         axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     known.minorticks_off()
@@ -341,20 +345,22 @@ def facts(rows: Rows) -> Facts:
         "large": "circle 0.8 m / 9 s",
         "slow": "circle 0.8 m / 9 s, slow start",
         "designed": "designed",
+        "far": "designed, lean of the circle",
         "ended": "designed, until known",
         "calm": "hover, calm",
         "calmlarge": "circle 0.8 m / 9 s, calm",
         "calmdesigned": "designed, calm",
     }
     words = {"20": "twenty", "10": "ten", "5": "five"}
-    found: Facts = {("seeds",): f"{len(SEEDS)}"}
+    found: Facts = {("seeds",): f"{len(SEEDS)}", ("wanted",): f"{1e3 * WANTED:g}"}
     for (name, excitation), (wanted, word) in itertools.product(names.items(), words.items()):
         reaching = Mean.of(times_to(rows, excitation, wanted))
         found[name, word] = f"{reaching.value:.2f}"
         found[name, word, "low"], found[name, word, "high"] = f"{reaching.low:.2f}", f"{reaching.high:.2f}"
         found[name, word, "reached"] = f"{reached(rows, excitation, wanted)}"
-    for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow"), words.items()):
-        gained = gain(rows, "designed", names[against], wanted)
+    for against, (wanted, word) in itertools.product(("hover", "small", "large", "slow", "far"), words.items()):
+        pair = ("designed", names[against]) if against != "far" else (names["far"], names["large"])
+        gained = gain(rows, *pair, wanted)
         for part, value in zip(((), ("low",), ("high",)), gained, strict=True):
             found[against, word, "gain", *part] = f"{value:.2f}"
     for name, excitation in names.items():
@@ -370,12 +376,15 @@ SEARCHED = ((0.1, 0.4), (0.2, 1.2), (-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0), (-1.0
 
 DESIGN_SECONDS, LATER_SECONDS, DESIGN_SEED = 2.0, 8.0, 90_001
 SCALINGS = 3
-"""How often a trajectory is flown until its lean is as wanted, to within 1 %: lean grows with the amplitude, but noise
+"""How often a trajectory is flown until its lean is as wanted, to within 5 %: lean grows with the amplitude, but noise
 is part of it."""
 
 MARGIN = 1.5e-3
-"""What is left of ``LEAN`` for other noise than that of ``DESIGN_SEED``, m."""
+"""What is left of ``LEAN`` in the search, m: shapes are compared at the same lean with the noise of one seed."""
 
+
+FINAL_SEEDS, FINAL_MARGIN = range(90_002, 90_010), 0.5e-3
+"""What the trajectory that is found is scaled with once more, and what is left of ``LEAN`` then, m."""
 
 FELL = 100.0
 """Cost of a trajectory that lets the rod fall, s."""
@@ -418,8 +427,7 @@ def scaled(reference: Multisine) -> Tried:
     """Return a trajectory of the same shape whose lean along both axes is the largest allowed, less ``MARGIN``."""
     for _ in range(SCALINGS - 1):
         x, y = ((LEAN - MARGIN) / tried(reference).lean).tolist()
-        along = (tuple(round(k * v, 4) for v in axis) for k, axis in ((x, reference.x), (y, reference.y)))
-        reference = replace(reference, **dict(zip("xy", along, strict=True)))
+        reference = replace(reference, x=magnified(x, reference.x), y=magnified(y, reference.y))
     return tried(reference)
 
 
@@ -440,6 +448,22 @@ def cost(parameters: ArrayLike, wanted: float = WANTED) -> float:
     return time_of(found.flight, wanted) + 100.0 * float(excess.sum()) if found.flight.survived else FELL
 
 
+def finished(reference: Multisine) -> Multisine:
+    """Return a trajectory scaled anew, so that no flight of ``FINAL_SEEDS`` leans too far in ``SECONDS``."""
+    params = params_of("designed", "poses")
+    for _ in range(SCALINGS - 1):
+        flights = [Scenario("design", "", SECONDS, reference, params=params, seed=seed) for seed in FINAL_SEEDS]
+        largest = [np.abs(flight.truth_state.values[:, [A, B]]).max(axis=0) for flight in fly_many(flights)]
+        x, y = ((LEAN - FINAL_MARGIN) / np.max(largest, axis=0)).tolist()
+        reference = replace(reference, x=magnified(x, reference.x), y=magnified(y, reference.y))
+    return reference
+
+
+def magnified(factor: float, amplitudes: tuple[float, ...]) -> tuple[float, ...]:
+    """Return amplitudes times a factor, to a tenth of a millimetre."""
+    return tuple(round(factor * amplitude, 4) for amplitude in amplitudes)
+
+
 def design(wanted: float = WANTED, generations: int = 8, members: int = 4, seed: int = 0) -> Multisine:
     """Return the multisine with the least ``cost`` that differential evolution finds; the same for the same seed."""
     from scipy.optimize import differential_evolution
@@ -448,7 +472,7 @@ def design(wanted: float = WANTED, generations: int = 8, members: int = 4, seed:
         cost, SEARCHED, (wanted,), maxiter=generations, popsize=members, rng=seed, polish=False
     )
     best = scaled(shape(found.x)).reference
-    return replace(best, frequency=round(best.frequency, 4), ramp=round(best.ramp, 3))
+    return finished(replace(best, frequency=round(best.frequency, 4), ramp=round(best.ramp, 3)))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from fiplib.references import Circle
 from fiplib.studies import excitation as study
 
 
@@ -34,7 +33,7 @@ def rows() -> list[dict]:
 
 def test_the_paper_s_estimator_flies_every_trajectory_that_it_does_not_end():
     cases = study.cases()
-    assert len(cases) == len({tuple(case.values()) for case in cases}) == 20 * (9 + 4)
+    assert len(cases) == len({tuple(case.values()) for case in cases}) == 20 * (10 + 4)
     assert set(cases[0]) == set(study.KEYS)
     flown = {case["excitation"] for case in cases if case["estimator"] == "ga"}
     assert flown == set(study.TO_THE_END)
@@ -54,13 +53,20 @@ def test_a_flight_ends_its_excitation_and_states_what_the_bound_allows():
 
 
 def test_the_design_is_sooner_than_the_circle_and_keeps_lean_and_room():
-    designed, circle = (study.tried(one) for one in (study.DESIGNED, Circle(0.8, 9.0, start=0.0, ramp=2.0)))
-    assert study.time_of(designed.flight) < study.time_of(circle.flight) - 0.2
-    # within 1 %, to which amplitudes are found, of what it was scaled to
-    assert designed.lean == pytest.approx(study.LEAN - study.MARGIN, rel=0.02)
-    assert designed.reach.max() <= study.REACH
-    # the hover has not reached it after 2 s: the time goes on with the bound
-    assert study.time_of(study.tried(replace(study.DESIGNED, x=(0.0,) * 4, y=(0.0,) * 4)).flight) > study.DESIGN_SECONDS
+    designed, found, circle = (
+        study.tried(one) for one in (study.DESIGNED, study.FOUND, study.EXCITATIONS["circle 0.8 m / 9 s"].reference)
+    )
+    assert study.time_of(found.flight) < study.time_of(designed.flight) < study.time_of(circle.flight) - 0.2
+    # what the search scales to
+    assert found.lean == pytest.approx(study.LEAN - study.MARGIN, rel=0.02)
+    assert designed.lean.max() < found.lean.max() < circle.lean.max() and designed.reach.max() <= study.REACH
+    # hover has not reached it after 2 s: the time goes on with the bound
+    still = replace(study.DESIGNED, x=(0.0,) * 4, y=(0.0,) * 4)
+    assert study.time_of(study.tried(still).flight) > study.DESIGN_SECONDS
+
+
+def test_the_design_is_what_was_found_scaled_until_no_noise_leans_too_far():
+    assert study.finished(study.FOUND) == study.DESIGNED
 
 
 def test_a_shape_is_scaled_to_the_lean_along_both_axes():
@@ -68,7 +74,8 @@ def test_a_shape_is_scaled_to_the_lean_along_both_axes():
     # the second harmonic has 0.4 Hz; an acceleration of 0.4 m/s^2 in all
     assert first.x == pytest.approx((0.24 / 1.257**2, 0.0, 0.0, 0.32 / 2.513**2), rel=1e-3) and first.y == first.x
     found = study.scaled(first)
-    assert found.lean == pytest.approx(study.LEAN - study.MARGIN, rel=0.02)
+    # two steps: noise is part of the lean and does not grow with it
+    assert found.lean == pytest.approx(study.LEAN - study.MARGIN, rel=0.05)
     assert found.reference.x[3] / found.reference.x[0] == pytest.approx(first.x[3] / first.x[0], rel=1e-2)
     assert found.reference.y[0] > found.reference.x[0], "y has the lighter weights"
 
@@ -94,7 +101,7 @@ def test_what_is_gained_comes_from_the_same_seeds():
 def test_the_table_has_a_line_for_each_trajectory_and_estimator_and_facts_state_the_gain():
     some = rows()
     table, facts = study.table20_excitation(some), study.facts(some)
-    assert len(table.rows) == 9 + 4
+    assert len(table.rows) == 10 + 4
     assert all(len(line) == len(table.header) == len(table.alignment) for line in table.rows)
     assert table.rows[0][4] == "--" and table.rows[0][2] == "2.00 (2.00 to 2.00)"
     assert facts["hover", "five", "gain"] == "10.00" and facts["designed", "lean"] == "2.19"

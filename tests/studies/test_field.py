@@ -99,6 +99,7 @@ def test_the_figure_shows_every_share_and_facts_are_words_and_numbers():
     shown = [text.get_text() for axes in figure.axes for text in axes.texts]
     expected = {name: ["100"] * 5 + ["0"] * 5 for name in study.FIELD}
     expected["adaptive_mpc"] = ["100"] * 8 + ["0"] * 2  # up to 1.5 m the flight with 1 m stands for the others
+    expected["nonlinear_mpc"] = ["", "", "100", "", "", "", "0", "", "0", ""]  # three lengths
     assert shown == [word for words in expected.values() for word in words]
     facts = study.facts(rows())
     assert facts["mpc", "longest"] == "1.2" and facts["mpc", "pushed", "rate"] == "26.0"

@@ -53,5 +53,5 @@ def test_the_table_has_a_column_for_each_observer_and_facts_name_both():
     table, facts = study.table15_observers(rows()), study.facts(rows())
     assert table.header[1:] == tuple(study.OBSERVED)
     assert all(len(line) == len(table.header) == len(table.alignment) for line in table.rows)
-    assert table.rows[0][1] == "7.0" and table.rows[7][:2] == ("Lengths that survive (m)", "0.4--1.3")
+    assert table.rows[0][1] == r"7.0 $\pm$ 0.0" and table.rows[7][:2] == ("Lengths that survive (m)", "0.4--1.3")
     assert facts["Kalman", "longest"] == "1.3" and facts["differentiated", "hover", "bound"] == "50.0"
