@@ -21,7 +21,7 @@ from fiplib.params import FipError
 MISTAKE, READER_GONE = 2, 128 + 13
 """Exit statuses beside those of a subcommand: a user's mistake; the reader of the output has closed it (SIGPIPE)."""
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
-"""What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
+"""Errors of writing to a stream, without a file name: a full disk, a lost terminal, a closed stream."""
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
 EXTRAS |= {"pandas": "tables", "pyarrow": "tables", "viser": "notebooks"}
@@ -91,7 +91,7 @@ def _run(arguments: list[str]) -> int:
     commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)
     for name, (module, summary) in COMMANDS.items():
-        subparser = commands.add_parser(name, help=summary, description=f"{summary.capitalize()}.")
+        subparser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         if name == asked:
             importlib.import_module(module).add_arguments(subparser)
     options = parser.parse_args(arguments)

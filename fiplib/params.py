@@ -216,7 +216,7 @@ class Piloting:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
+    """Effects of the simulated vehicle and its sensors beyond the rigid-body plant."""
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
     rate_delay: float = quantity(12.5e-3, "s", "Betaflight's 9 to 12 ms (docs/firmware.md), and the radio's", zero=True)

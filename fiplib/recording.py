@@ -1,4 +1,4 @@
-"""What a flight leaves behind: frames, signals, events, and what they are recorded to."""
+"""The data of a flight: frames, signals, events, and the recorder that they are written to."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -57,7 +57,7 @@ class BagError(FipError):
 
 
 class Role(NamedTuple):
-    """What one topic is for: its default name, message type, frame, and the names and units of its numbers."""
+    """The role of one topic: its default name, message type, frame, and the names and units of its numbers."""
 
     topic: str
     type: str
@@ -179,7 +179,7 @@ class Flight:
     """The first exposure of either body: time zero of the flight."""
     topics: tuple[TopicInfo, ...]
     notes: tuple[str, ...] = ()
-    """What reading guessed or left out, a sentence each."""
+    """What the reader assumed or left out, one sentence each."""
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""

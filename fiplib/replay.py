@@ -103,7 +103,7 @@ def reference(flight: Flight) -> Reference:
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
-    """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
+    """Return the pilot's commands for the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
     ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError as
     ``reference``, if none is given.

@@ -51,7 +51,7 @@ class Push(NamedTuple):
 class Scenario:
     """One simulated flight, fully determined.
 
-    ``told_lengths`` are (time s, length m): from that time on the pilot is told this length instead of an estimate.
+    ``told_lengths`` are (time s, length m): from that time on the pilot is given this length instead of an estimate.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Mocap:
         self._expose = poses.expose
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
         self.noise = rng.normal(size=(frames, 12)) * scale
-        """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
+        """Noise of both positions in m, then of both attitudes in rad, (frames, 12)."""
         self._radius, self._seat = params.pendulum.length / 2, params.seat_above_tracked
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:

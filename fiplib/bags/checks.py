@@ -45,12 +45,12 @@ _NAMES = {"vehicle": "vehicle", "pendulum": "rod"}
 
 
 class Finding(NamedTuple):
-    """What speaks against a flight."""
+    """A reason to doubt a recording."""
 
     name: str
     """A key of ``EXPLANATIONS``."""
     sentence: str
-    """What is wrong and what to do about it."""
+    """The fault and its remedy."""
     cure: dict[str, Any]
     """Keyword arguments of ``bags.read`` that mend it; empty if none does."""
     refuses: bool
@@ -258,8 +258,8 @@ def _body(flight: Flight, body: str) -> Poses:
 
 
 def _attitude(poses: Poses, vehicle: Poses | None) -> tuple[str | None, bool]:
-    """What is wrong with the attitude of the vehicle, or of the rod on a ``vehicle``, or None; and whether the motion
-    was enough to say so."""
+    """Return the fault in the attitude of the vehicle, or of the rod on a ``vehicle``, or None; and whether the motion
+    was enough to decide."""
     if np.ptp(poses.orientation, axis=0).max() < 1e-9:
         return "orientation never changes: track it as a body of several markers", True
     if vehicle is None:

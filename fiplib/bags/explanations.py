@@ -1,4 +1,7 @@
-"""What a recording should be like, in words: for ``fip bag info --explain`` and for the page on one's own recording."""
+"""Advice on recording a flight, and an explanation of each finding.
+
+Used by ``fip bag info --explain`` and by docs/your-own-recording.md.
+"""
 
 from textwrap import fill
 
@@ -14,7 +17,7 @@ RECORD = {
     "rod, a whole flight less. A circle tells more than a hover.",
     "No touching": "A push on the rod or the vehicle is a force that the model does not know: leave that stretch out.",
 }
-"""What to record."""
+"""Advice on what to record."""
 
 EXPLANATIONS = {
     "roles": (

@@ -98,7 +98,7 @@ def read(
 
 
 def _damage(path: Path, error: Exception) -> str:
-    """What is wrong with a bag that cannot be read, and what its user can do."""
+    """Return why a bag cannot be read, and what its user can do."""
     unfinished = (path / SIDECAR).exists()
     words = f"damaged or incomplete ({_line(error)})"
     if unfinished:

@@ -17,7 +17,7 @@ _MEDIAN = 9  # poses of which the median is taken, against which a mistracked on
 
 
 class Lost(NamedTuple):
-    """What is left out of the poses of one body, (n,) bool each, and where the stretch that is used lies."""
+    """The poses of one body that are left out, (n,) bool each, and the stretch that is used."""
 
     repeated: NDArray
     """In every digit as the one before: no new measurement."""

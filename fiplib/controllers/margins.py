@@ -72,7 +72,7 @@ class LinearLoop:
 
     @functools.cached_property
     def eigenvalues(self) -> NDArray:
-        """Of the closed loop per control period, largest magnitude first."""
+        """Return the eigenvalues of the closed loop over one control period, largest magnitude first."""
         values = np.linalg.eigvals(self.open_loop.A - self.open_loop.B @ self.open_loop.C)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -153,7 +153,7 @@ class Gains(Protocol):
 
 
 class Regulator(Protocol):
-    """What gives the gains of both axes for a length in use: the MPC, or another linear controller."""
+    """A linear controller, such as the MPC, that returns the gains of both axes for a length in use."""
 
     def prepare(self, length: float) -> Sequence[Gains]: ...
 

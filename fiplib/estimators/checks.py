@@ -1,4 +1,4 @@
-"""What keeps an estimator from an answer that means nothing: implausible flights before it, its residuals after it."""
+"""Checks that refuse a meaningless estimate: implausible flights before the fit, its residuals after it."""
 
 import math
 from dataclasses import replace

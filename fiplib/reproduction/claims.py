@@ -25,7 +25,7 @@ ABOUT = 0.25
 noise were other ones than ours: closer agreement would mean nothing."""
 
 LITTLE = 0.1
-"""What the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence): a tenth."""
+"""Size that the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence)."""
 
 SLIGHT = LITTLE * 9.0 / 4
 """The same tenth of a quarter period of our circle of 0.8 m, s."""

@@ -31,7 +31,7 @@ INCOMPLETE = "The study is not complete"
 
 
 class Evidence(NamedTuple):
-    """What speaks for a claim, or against it.
+    """The evidence for or against a claim.
 
     ``values`` of the flights (NaN: it fell, or nothing was measured); ``recorded``, the value of the recorded flight;
     ``note``, how it was measured and what limits it; ``ours``, what is shown for our number where it is not the median

@@ -1,4 +1,4 @@
-"""What can be measured on a recorded flight: leans, laps, settling, convergence, changes of the length.
+"""Measures of a recorded flight: leans, laps, settling, convergence, changes of the length.
 
 All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
 never on a simulator's truth: the bag of a real vehicle goes through unchanged. ``quantities`` makes the ledger's
@@ -147,7 +147,7 @@ def true_length(flight: Flight) -> float:
 
 
 class Convergence(NamedTuple):
-    """What the used length came to: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
+    """The final used length: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
 
     length: float
     error: float

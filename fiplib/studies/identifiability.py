@@ -1,4 +1,4 @@
-"""What the motion of two tracked points tells: distance, effective length and seat height are three parts of one curve.
+"""Identifiability from two tracked points: distance, effective length and seat height are parts of one response.
 
 Linear, per axis, in bounded motion. With e the horizontal part of the vehicle's z axis, rho the distance from the seat
 to the rod's tracked point, L_e the effective length, h the height of the seat above the tracked point of the vehicle

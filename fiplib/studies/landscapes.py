@@ -1,8 +1,8 @@
-"""What every reading of the fitness says about all 18 001 lengths, on the same windows of simulated flights.
+"""The fitness of all 18 001 lengths in each of its interpretations, on the same windows of simulated flights.
 
-One factor at a time is moved away from ``DEFAULT``: the excitation, the noise covariances that the filter is told, the
+One factor at a time is moved away from ``DEFAULT``: the excitation, the noise covariances that the filter assumes, the
 number of samples in the window, the sampling rate, the rod's inertia about its COM (the filter has none). Each setting
-is read in each of ``READINGS``; a row sums up ``len(SEEDS) * len(ENDS)`` windows. The rod is 1 m long.
+is evaluated in each of ``READINGS``; a row sums up ``len(SEEDS) * len(ENDS)`` windows. The rod is 1 m long.
 
 153 rows, about 12 minutes of one core.
 """
@@ -151,7 +151,7 @@ def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArr
 
 
 def summary(lengths: NDArray, fitness: NDArray, true: float, likelihood: bool) -> dict[str, float]:
-    """What W landscapes ``fitness`` (W, C) of evenly spaced ``lengths`` (C,) in m say together; ``true`` in m.
+    """Return a summary of W landscapes ``fitness`` (W, C) of evenly spaced ``lengths`` (C,) in m; ``true`` in m.
 
     Returns:
         ``bias`` and ``spread``: mean error and standard deviation of the best lengths, m.
@@ -292,7 +292,7 @@ def table9_landscapes(rows: Rows) -> Table:
 
 
 def _setting(row: dict) -> str:
-    """What differs from the default in a row of the study 'landscapes'."""
+    """Return the name of the setting that differs from the default in a row of the study 'landscapes'."""
     if row["factor"] == "none":
         return "default"
     noise = str(row["noise"]).replace("Q_e", "$Q_e$").replace("R_e", "$R_e$").replace("*", r"$\times$")

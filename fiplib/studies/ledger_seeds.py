@@ -63,7 +63,7 @@ FLOWN = {
     ),
     "length-jump": (quantities.survived_change, quantities.fatal_change, quantities.command_ratio),
 }
-"""What is measured on the flights of each scenario."""
+"""The quantities that are measured on the flights of each scenario."""
 
 ESTIMATED = (
     *(quantities.final_length, quantities.converged, quantities.late_share),
@@ -72,13 +72,15 @@ ESTIMATED = (
 SWAYED = (*FLOWN["circle-0.8"], quantities.height_sway, quantities.yaw_sway)
 
 WRONG, SINCE, OUTLIER, PERIOD, LASTING = 1.85, 6.0, 2.0, 0.2, 15.0
-"""A length 0.85 m too long in m, told from a time in s on; an outlier's duration, the period of hand-overs and what is
-flown after the first, all in s."""
+"""A length 0.85 m too long, in m, that the pilot is given from a time in s on; an outlier's duration, the period of
+hand-overs and the time flown after the first, all in s."""
 
 
 class Variant(NamedTuple):
-    """What is changed in the parameters and in the scenario, the scenarios that are flown with it, the number of seeds,
-    and what is measured (None: what is in the default)."""
+    """A change of parameters and scenario, the scenarios flown with it, the number of seeds, the quantities measured.
+
+    A quantity of None is that of the default.
+    """
 
     changes: Mapping[str, Any]
     scenarios: tuple[str, ...]

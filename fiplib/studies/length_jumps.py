@@ -33,8 +33,8 @@ CHANGES = {"at once": math.inf, "in steps": STEP}
 LASTING = {"to the end": math.inf, "2 s": 2.0}
 
 START, SECONDS, PERIOD = 6.0, 15.0, 0.2
-"""The jump comes at ``START`` s, a second after the circle's full speed; flown are ``SECONDS`` more; a length is told
-every ``PERIOD`` s."""
+"""The jump is at ``START`` s, a second after the circle has full speed; the flight lasts ``SECONDS`` more; the pilot is
+given a length every ``PERIOD`` s."""
 
 SEEDS = (1, 2)
 CIRCLE = Circle(radius=0.4, period=8.0)

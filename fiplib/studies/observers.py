@@ -1,4 +1,4 @@
-"""What a calmer state observer gains, and what it costs the estimate of the length.
+"""The benefit of a calmer state observer, and its cost for the estimate of the length.
 
 A case is one simulated flight of the default vehicle and rod under one observer of ``OBSERVED``: "hover" and "circle"
 with the rod's length in use, "pushes" in hover with the pushes of the scenario ``push-hover`` and another ``length`` in

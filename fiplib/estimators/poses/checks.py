@@ -1,4 +1,4 @@
-"""What speaks against an estimate: frames, units and bodies before the fit, innovations and priors after it."""
+"""Checks of an estimate: frames, units and bodies before the fit, innovations and priors after it."""
 
 import math
 

@@ -96,7 +96,7 @@ def sentences(found: "PoseEstimate", flight: Flight | None = None) -> str:
 
 
 def _checked(flight: Flight | None) -> tuple[tuple[str, ...], list[Finding], list[str]]:
-    """What reading assumed, what speaks against the flight, and the checks that it passed."""
+    """Return the reader's assumptions, the findings against the flight, and the checks that it passed."""
     if flight is None:
         return (), [], []
     against = findings(flight)
