@@ -39,7 +39,7 @@ def numbers_of(measurement: Measurement) -> NDArray:
 
 
 def nanoseconds(now: int) -> int:
-    """Return a time as a plain int. Raises ValueError if it is none that a ROS message can carry, 0 to 2038."""
+    """Return a time as a plain int. Raises ValueError if a ROS message cannot carry it, 0 to 2038."""
     if isinstance(now, int | np.integer) and not isinstance(now, bool) and 0 <= now < 2**31 * NANO:
         return int(now)
     raise ValueError(f"a time must be an integer in ns, from 0 to the year 2038, not {now!r}")

@@ -230,7 +230,7 @@ class ParallelEstimator(Protocol):
     """An estimator that runs beside the flight: the simulator's, or one in a process of its own."""
 
     remarks: deque[tuple[str, str]]
-    """(level, text) of what it has to say about itself; whoever reads them takes them away."""
+    """Remarks of the estimator about itself, as (level, text); the reader removes them."""
     seconds: float
     """How long its last run took, s; nan where that is not known."""
 

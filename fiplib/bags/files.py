@@ -1,4 +1,4 @@
-"""Which files are a recording, and what a file is that is none."""
+"""The files of a recording, and the kind of a file that is not one."""
 
 import re
 import shlex

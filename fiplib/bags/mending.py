@@ -19,7 +19,7 @@ def mended(
         body: its name, for the notes.
         stamp, received: (n,) in ns.
         values: (n, 7), position and quaternion.
-        notes: one sentence is added for each mend.
+        notes: one sentence is added for each repair.
 
     Returns:
         The same three, of the frames that hold a pose.

@@ -1,4 +1,4 @@
-"""Poses that are none: repeated, mistracked, or beyond a gap that nothing bridges."""
+"""Invalid poses: repeated, mistracked, or beyond a gap that nothing bridges."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -52,7 +52,7 @@ def lost(flight: Flight) -> tuple[Lost, Lost]:
 
 
 def tracked(flight: Flight) -> Flight:
-    """Return the flight without the poses that are none; the flight itself if there are no such."""
+    """Return the flight without its invalid poses; the flight itself if there are none."""
     if min(len(flight.vehicle.stamp), len(flight.pendulum.stamp)) < 2:
         return flight
     vehicle, rod = (one.any for one in lost(flight))

@@ -165,7 +165,7 @@ def closed_loop(used_length: float, params: Params, mpc: Regulator | None = None
     rods. Raises ValueError: rates are no whole multiples of each other, or the pendulum is not measured by position.
     """
     if params.piloting.pendulum_measurement != "position":
-        raise ValueError("the linear loop knows the reading pendulum_measurement = 'position' only")
+        raise ValueError("the linear loop needs piloting.pendulum_measurement = 'position'")
     rates = params.simulation.plant_rate, params.piloting.mocap_rate, params.piloting.control_rate
     substeps, frames = (round(fast / slow) for fast, slow in itertools.pairwise(rates))
     if not math.isclose(rates[0], substeps * rates[1]) or not math.isclose(rates[1], frames * rates[2]):

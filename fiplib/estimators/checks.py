@@ -61,7 +61,7 @@ def _at_an_end(found: Estimate, params: Params) -> str | None:
         return None
     return (
         f"the best length is at the end of the interval from {low:g} to {high:g} m that was searched: the window does "
-        "not tell the length, or the rod is of another; take a longer window, or widen the interval"
+        "not determine the length, or the rod's length is outside; take a longer window, or widen the interval"
     )
 
 

@@ -286,7 +286,7 @@ def fig10_intervals(flight: Flight, spread: Rows = ()) -> Figure:
     Bars: windows of 2.5 s, one every half second, of the recorded flight (simulated, l0 = 1.4 m, a rod of 1 m on the
     0.4 m circle). Bands: 5 to 95 % of the answers over 20 simulated flights, among them the recorded one: blue of the
     poses, orange of the genetic algorithm. The blue band, 0.995 to 1.006 m, is as wide as the stated intervals, so
-    these can be believed; the orange one is ten times as wide, and below the true length at first.
+    these can be trusted; the orange one is ten times as wide, and below the true length at first.
     """
     from fiplib.estimators.poses.in_flight import InFlight  # compiled code: half a second to import
 

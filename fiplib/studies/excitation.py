@@ -1,9 +1,9 @@
-"""Excitation by design: which trajectory tells the length soonest, with the rod no further from upright than usual?
+"""Excitation by design: the trajectory that identifies the length soonest, with the rod no further from upright.
 
 A case is one simulated flight that estimates its length (uniform rod of 1 m on the 8 cm seat) with one ``excitation``
 and one ``estimator``; it starts at rest and knows nothing: ``poses`` with the trusted hand-over from 0.5 m on, or the
-paper's ``ga`` from 0.8 m on. Beside what becomes of the flight a row has, at ``TIMES`` of the flight, what the newest
-estimate states and how wrong it is, and the Cramer-Rao bound of all poses so far.
+paper's ``ga`` from 0.8 m on. Beside the outcome of the flight a row has, at ``TIMES`` of it, the stated deviation
+and the error of the newest estimate, and the Cramer-Rao bound of all poses so far.
 
 ``design`` looks for the multisine whose bound falls to ``WANTED`` soonest while |a| and |b| stay below ``LEAN``; it
 made ``DESIGNED``. What was found: docs/studies.md. 280 rows, about 4 minutes of one core; the design takes
@@ -255,7 +255,7 @@ def fig22_excitation(rows: Rows) -> Figure:
     medians (means of the paths), bands: 5 to 95 %. Top: paths of the first 3 s, a dot every 0.2 s, and the largest of
     |a| and |b| since the time before; grey: the lean that the design may take. Bottom: stated standard deviation,
     crosses: root mean square error, black: Cramer-Rao bound (6 flights), grey: the deviation designed for, at which
-    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to come to
+    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to reach
     10 mm, with less lean than the circle, and gains nothing near 5 mm, where the seat's height limits all of them.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")

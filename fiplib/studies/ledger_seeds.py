@@ -39,7 +39,7 @@ KEYS = ("variant", "scenario", "seed")
 SEEDS, VARIANT_SEEDS = 40, 20
 
 FIRST_SEEDS = {"estimate-1.2": 41, "estimate-1.4": 81}
-"""From each first length other seeds: after the first update nothing but the noise tells these flights apart."""
+"""Other seeds for each first length: after the first update these flights differ by the noise alone."""
 
 PUSHES, CIRCLE, JUMP, HOVER = ("push-hover",), ("circle-0.8",), ("length-jump",), ("estimate-1.2",)
 STARTS = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
@@ -182,7 +182,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
     Returns:
         survived (0 or 1) and flown (s); for each of ``COLUMNS`` what the function of that name in ``quantities`` or
-        ``feasibility`` says. NaN: it is not measured in this scenario, or the flight fell where nobody told a length.
+        ``feasibility`` says. NaN: it is not measured in this scenario, or the flight fell and no length was given.
     """
     scenario, variant = scenario_of(case), VARIANTS[case["variant"]]
     flight: Flight = fly(scenario, vehicle=Swaying) if case["variant"] == "swaying" else next(fly_many([scenario]))
@@ -236,7 +236,7 @@ def table5_seeds(rows: Rows) -> Table:
 
 
 def table6_readings(default: Rows, readings: Rows) -> Table:
-    """Table 6: the length that the estimator's flights come to under other interpretations of the paper.
+    """Table 6: the final length of the estimator's flights under other interpretations of the paper.
 
     Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 40 flights of the default, 20 of
     each other interpretation and of the paper's remedy (exploring). Median with its 95 % interval, RMS error, the

@@ -1,4 +1,4 @@
-"""The search for one set of weights under which every row of the ledger that weights decide is met at once.
+"""The search for one set of weights that satisfies all rows of the ledger that depend on weights.
 
 The criterion, stated before the search. A candidate passes if
 
@@ -133,7 +133,7 @@ def _weighted(
 
 
 def _starts(params: Params) -> dict[str, float]:
-    """Flights with a wrong length that nobody mends."""
+    """Flights with a wrong length that is not corrected."""
     up, leans = 0, []
     for start in STARTS:
         if start != params.pendulum.length:
