@@ -74,9 +74,9 @@ class Evolution:
 
     Attributes:
         length: best length found in m.
-        standard_deviation: in m, from the curvature of the log likelihood at ``length``; nan for readings that are
+        standard_deviation: in m, from the curvature of the log likelihood at ``length``; nan for a fitness that is
             not a likelihood (the paper reports none), at an end of the interval and where the curvature is not
-            positive. As honest as the noise covariances.
+            positive. Correct only if the noise covariances are.
         fitness: fitness of ``length``.
         best_lengths: best length of each generation in m, (G,).
         populations: all lengths in m, (G, N); those beyond length_max are infeasible.

@@ -56,7 +56,7 @@ def filter_step(
 
 
 class Reading(NamedTuple):
-    """One reading of the paper's filter: how the state and its covariance advance, and what is summed as fitness."""
+    """One interpretation of the paper's filter: propagation of state and covariance, and summand of the fitness."""
 
     transition: str
     score: str
@@ -123,7 +123,7 @@ class Filtered:
 
 
 def reading(estimation: Estimation) -> Reading:
-    """The reading named by ``estimation.fitness``; ValueError with the known names if there is none."""
+    """Return the interpretation that ``estimation.fitness`` names; ValueError with the known names if there is none."""
     try:
         return READINGS[estimation.fitness]
     except KeyError:
@@ -153,14 +153,14 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
     Args:
         lengths: candidates in m, (C,).
         window: the data.
-        estimation: noise covariances and the name of the reading.
+        estimation: noise covariances and the name of the interpretation.
 
     Returns:
         (C,): a sum of squares in mixed units, as printed, for 'posterior' and 'prior'; -2 log likelihood up to a
         constant for 'likelihood'. Infinite where the filter overflowed.
 
     Raises:
-        ValueError: unknown reading, noise of the wrong size or sign, lengths that are not positive and finite.
+        ValueError: unknown interpretation, noise of the wrong size or sign, lengths that are not positive and finite.
     """
     from fiplib.kernels import (
         filtering,  # here and not above: numba takes a while, and not all who read windows filter them

@@ -256,7 +256,7 @@ class MPC:
         return Solution(inputs[0], inputs, states, STATUSES[answer & 3], answer > 3)
 
     def prepared(self, length: float | None = None) -> tuple:
-        """What ``kernels.control.solve`` needs beside state and reference, for a length as in ``solve``."""
+        """Return the arguments of ``kernels.control.solve`` after state and reference, for a length as in ``solve``."""
         length = self.params.pendulum.length if length is None else float(length)
         if not 0.0 < length < math.inf:
             raise ValueError(f"length must be positive and finite, got {length} m")

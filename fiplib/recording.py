@@ -1,4 +1,4 @@
-"""What a flight leaves behind: frames, signals, events, and what they are recorded to."""
+"""The data of a flight: frames, signals, events, and the recorder that they are written to."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,7 +39,7 @@ def numbers_of(measurement: Measurement) -> NDArray:
 
 
 def nanoseconds(now: int) -> int:
-    """Return a time as a plain int. Raises ValueError if it is none that a ROS message can carry, 0 to 2038."""
+    """Return a time as a plain int. Raises ValueError if a ROS message cannot carry it, 0 to 2038."""
     if isinstance(now, int | np.integer) and not isinstance(now, bool) and 0 <= now < 2**31 * NANO:
         return int(now)
     raise ValueError(f"a time must be an integer in ns, from 0 to the year 2038, not {now!r}")
@@ -57,7 +57,7 @@ class BagError(FipError):
 
 
 class Role(NamedTuple):
-    """What one topic is for: its default name, message type, frame, and the names and units of its numbers."""
+    """The role of one topic: its default name, message type, frame, and the names and units of its numbers."""
 
     topic: str
     type: str
@@ -179,7 +179,7 @@ class Flight:
     """The first exposure of either body: time zero of the flight."""
     topics: tuple[TopicInfo, ...]
     notes: tuple[str, ...] = ()
-    """What reading guessed or left out, a sentence each."""
+    """What the reader assumed or left out, one sentence each."""
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""

@@ -2,7 +2,7 @@
 
 The bag holds all that the pilot was given (poses, their times, the estimates it received), so the commands come out bit
 for bit as they were flown. With other parameters the same functions say what the pilot *would* have commanded, and
-which windows another estimator would have been given. Whoever needs windows of a flight has them cut here.
+which windows another estimator would have been given. All windows of a recorded flight are cut here.
 """
 
 import math
@@ -103,7 +103,7 @@ def reference(flight: Flight) -> Reference:
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
-    """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
+    """Return the pilot's commands for the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
     ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError as
     ``reference``, if none is given.
@@ -123,7 +123,7 @@ def commands(flight: Flight, params: Params | None = None, follow: Reference | N
 
 
 def at_recorded_rate(params: Params, command: Series) -> Params:
-    """The parameters with the control rate at which commands were recorded: their stamps know it, whoever flew.
+    """Return the parameters with the control rate at which commands were recorded, which follows from their stamps.
 
     The parameters' own rate stays where it agrees with the median step of the stamps within 2 %.
     """
@@ -154,7 +154,7 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
 
 def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Any) -> "PoseEstimate":
-    """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
+    """Return the length of the rod from the poses of the two bodies over a whole flight, or the reason for a refusal.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     Raises ValueError: ``flight`` is no flight.

@@ -51,7 +51,7 @@ class Push(NamedTuple):
 class Scenario:
     """One simulated flight, fully determined.
 
-    ``told_lengths`` are (time s, length m): from that time on the pilot is told this length instead of an estimate.
+    ``told_lengths`` are (time s, length m): from that time on the pilot is given this length instead of an estimate.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Mocap:
         self._expose = poses.expose
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
         self.noise = rng.normal(size=(frames, 12)) * scale
-        """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
+        """Noise of both positions in m, then of both attitudes in rad, (frames, 12)."""
         self._radius, self._seat = params.pendulum.length / 2, params.seat_above_tracked
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
@@ -230,7 +230,7 @@ class ParallelEstimator(Protocol):
     """An estimator that runs beside the flight: the simulator's, or one in a process of its own."""
 
     remarks: deque[tuple[str, str]]
-    """(level, text) of what it has to say about itself; whoever reads them takes them away."""
+    """Remarks of the estimator about itself, as (level, text); the reader removes them."""
     seconds: float
     """How long its last run took, s; nan where that is not known."""
 

@@ -34,16 +34,16 @@ Row = tuple[int, list[str]]
 
 
 class Stated(NamedTuple):
-    """What the caller says of a file; None where the file or a default says it."""
+    """The conventions of a file as stated by the caller; None where the file or a default decides."""
 
     columns: str | None = None
     """Which column is what, as in ``MAPPING``; ``frame=`` in place of ``time=`` with a rate."""
     unit: str | None = None
-    """Of positions: a key of ``UNITS``."""
+    """The unit of positions: a key of ``UNITS``."""
     up: str | None = None
     """The axis that points up, "y" or "z"."""
     rate: float | None = None
-    """Of frames, Hz."""
+    """The frame rate, Hz."""
     vehicle: str | None = None
     pendulum: str | None = None
     """Names of the bodies."""

@@ -127,7 +127,7 @@ def piece_of(messages: Collection[tuple[int, int, bytes]]) -> Piece:
 
 
 class Remains:
-    """What is left in one MCAP file.
+    """The readable remains of one damaged MCAP file.
 
     Args:
         path: the file.
@@ -410,7 +410,7 @@ def _numbers(view: NDArray, at: NDArray) -> NDArray:
 
 
 def profile(file: Path) -> str:
-    """What the header of an MCAP file says that its messages are: ``ros2``, or another word."""
+    """Return the profile in the header of an MCAP file: ``ros2``, or another word."""
     with File(file) as content:
         head = _head(content, len(_MAGIC))
         return read_string(BytesIO(content[head[1] : head[2]])) if head and head[0] == 1 else "ros2"

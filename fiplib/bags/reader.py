@@ -54,7 +54,7 @@ def read(
             ``"/tf:quad"`` for one of several bodies in a topic. What is not named and not there is guessed from types
             and names, and said in ``Flight.notes``.
         up, unit, swap, quaternion, stamps: conventions of the poses that differ from ours, as
-            ``conventions.restated`` takes them; ``checks.findings`` says which mend a flight.
+            ``conventions.restated`` takes them; ``checks.findings`` says which correct a flight.
 
     Raises:
         BagError: the bag is missing, damaged, or does not hold what the bag contract says.
@@ -98,7 +98,7 @@ def read(
 
 
 def _damage(path: Path, error: Exception) -> str:
-    """What is wrong with a bag that cannot be read, and what its user can do."""
+    """Return why a bag cannot be read, and what its user can do."""
     unfinished = (path / SIDECAR).exists()
     words = f"damaged or incomplete ({_line(error)})"
     if unfinished:

@@ -32,7 +32,7 @@ class Saved(NamedTuple):
 
 
 class Recovery(NamedTuple):
-    """What ``recover`` saved, and what it could not."""
+    """The result of ``recover``: what was saved and what was lost."""
 
     source: Path
     output: Path
@@ -66,7 +66,7 @@ class Recovery(NamedTuple):
         return self.finished and not lost and not any(topic.lost for topic in self.saved)
 
     def describe(self) -> str:
-        """What was saved and what was lost, in lines."""
+        """Return what was saved and what was lost, as lines of text."""
         origin = self.metadata.get("origin", "unknown (nothing that is left says it)").strip('"')
         lines = [
             f"{'recovered':<10} {self.output}",
@@ -229,7 +229,7 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains], missing: 
 
 
 def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
-    """What the recording says about itself, from the first place where it is undamaged."""
+    """Return the metadata of the recording, from the first place where they are undamaged."""
     folder = source if source.is_dir() else source.parent
     places: list[Callable[[], Any]] = [functools.partial(getattr, rest, "entries") for rest in remains]
     if source.is_dir() or source.stem == folder.name:

@@ -45,7 +45,7 @@ class Block(NamedTuple):
 
 
 class Stored(NamedTuple):
-    """What a bag says about one topic."""
+    """One topic of a bag."""
 
     type: str
     count: int
@@ -131,7 +131,7 @@ def _storage(file: Path) -> McapReader | Sqlite3Reader:
 
 
 def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: int = 1 << 63) -> Iterator[Piece]:
-    """Of every chunk that holds what is wanted between two log times in ns, unpacked and checked, its messages."""
+    """Yield every chunk that holds wanted messages between two log times in ns, unpacked and checked."""
     with File(Path(storage.path)) as file:
         for info in sorted(storage.chunks, key=lambda info: info.chunk_start_offset):
             if info.channel_count and not any(info.channel_count.get(channel) for channel in wanted):

@@ -1,4 +1,4 @@
-"""What there is in any bag of ROS 2, whether it holds a flight or not: topics, rates, stamps, frames."""
+"""The contents of any ROS 2 bag, whether it holds a flight or not: topics, rates, stamps, frames."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -33,8 +33,8 @@ from fiplib.recording import BagError, Flight
 
 CALIBRATION = "calibration"
 NUISANCES = (CALIBRATION, "inertia_factor", "rate_lag")
-"""What may be unknown beside the state and the length: how the markers sit (``OFFSETS``), lambda of the rod, and the
-first-order lag of the inner loop in s."""
+"""Quantities that may be unknown beside the state and the length: marker offsets (``OFFSETS``), lambda of
+the rod, and the first-order lag of the inner loop in s."""
 
 REBASE = 24
 """Frames between two changes of the basis: 0.1 s, in which the rod's fall grows by a factor of about 1.5."""
@@ -131,7 +131,7 @@ def cramer_rao(
 COMMANDS = 4
 
 DYNAMIC = ("inertia_factor", "rate_lag", "com_height", "mass_ratio", "length")
-"""What the plant depends on and an estimate from poses alone does not know."""
+"""Parameters of the plant that an estimate from poses alone does not know."""
 
 CONSTANTS = np.array([0.02, 0.02, 0.1, 0.1, 0.1, 0.1])
 """How well the calibration is known: of the rod's tracked point beside its axis, m, of the vehicle's body frame and of
@@ -259,10 +259,10 @@ def _tangents(state: NDArray) -> NDArray:
 
 
 def _sensitivities(motion: Motion, params: Params, names: tuple[str, ...]) -> tuple[NDArray, NDArray]:
-    """Of the state a frame later: to the state (n - 1, 20, 20), by CasADi; to the parameters (n - 1, 20, P).
+    """Return the derivatives of the next frame's state: by the state (n - 1, 20, 20), by the parameters (n - 1, 20, P).
 
-    One step of RK4 to a frame: its error is (period / lag)^5 / 120 = 1e-5 of the body rate. The parameters enter
-    through central differences of this one step, which are exact to 1e-8.
+    CasADi gives the former. A frame is one step of RK4: its error is (period / lag)^5 / 120 = 1e-5 of the body rate.
+    The parameters enter through central differences of this one step, which are exact to 1e-8.
     """
     states, commands = motion.states[:-1].T, motion.commands[:-1].T
     force = np.zeros((3, states.shape[1]))

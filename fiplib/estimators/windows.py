@@ -1,4 +1,4 @@
-"""What estimators are given, and what gathers it in flight.
+"""The windows of data that estimators use, and the samplers that collect them in flight.
 
 The paper's estimator takes states sampled in steps (``kalman.Window``, ``WindowSampler``); ours takes the poses of both
 bodies as measured (``RawWindow``, ``RawSampler``). Both are fed alike.
@@ -182,4 +182,4 @@ class WindowSampler:
 
 
 SAMPLERS: dict[str, type[WindowSampler] | type[RawSampler]] = {"states": WindowSampler, "raw": RawSampler}
-"""What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""
+"""The sampler of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

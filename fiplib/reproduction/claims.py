@@ -25,7 +25,7 @@ ABOUT = 0.25
 noise were other ones than ours: closer agreement would mean nothing."""
 
 LITTLE = 0.1
-"""What the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence): a tenth."""
+"""Size that the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence)."""
 
 SLIGHT = LITTLE * 9.0 / 4
 """The same tenth of a quarter period of our circle of 0.8 m, s."""
@@ -228,7 +228,7 @@ CLAIMS = (
             "delay is a lead: the MPC sees its reference over the whole horizon"),
     _flight("C2.y", "Circle: largest error of y", 0.2, "m", 3, quantities.y_error, about, ABOUT, Kind.FITTED,
             bags=_CIRCLE, reason=_LIGHT),
-    Claim("C3", "Other weights on y and its rate would mend y", None, "1", 2, evidence.heavier_y, smaller, ABOUT,
+    Claim("C3", "Other weights on y and its rate would improve y", None, "1", 2, evidence.heavier_y, smaller, ABOUT,
           Kind.FITTED, studies=_SEEDS, reason=f"{_LIGHT}; this row undoes that choice"),
     *_estimation("G1", "0.8", 0.973, 0.027, 14.68),
     *_estimation("G2", "1.2", 1.029, 0.029, 3.99),
@@ -241,7 +241,7 @@ CLAIMS = (
             reason=_SCHEDULE),
     Claim("G4.search", "The GA explores too little", None, "m", 4, evidence.search, yes, bags=_STARTS, studies=_SEEDS,
           reason=_SEARCH),
-    Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
+    Claim("G4.remedy", "Fewer elites, more mutation would help", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
           studies=_SEEDS, reason=_SEARCH),
     _flight("G5", "Tracking in x improves once the length is updated", None, "1", 2, quantities.x_tracking, smaller,
             LITTLE, bags=("estimate-1.4",), remark="RMS error of x on the arc flown before the first update: in later "
@@ -256,7 +256,7 @@ CLAIMS = (
           partial(evidence.wild_commands, "outlier"), larger, ABOUT, bags=_JUMP, studies=_SEEDS),
     Claim("G6.short", "Beyond 0.8 m shorter: commands fluctuate", None, "1", 2,
           partial(evidence.wild_commands, "short outlier"), larger, ABOUT, studies=_SEEDS),
-    Claim("G6.steps", "Small steps of the length would mend it", None, "1", 2, evidence.small_steps, yes,
+    Claim("G6.steps", "Small steps of the length would prevent it", None, "1", 2, evidence.small_steps, yes,
           studies=("ledger_seeds", "length_jumps")),
     _flight("G7", "The estimate fluctuates rapidly", None, "m", 3, quantities.fluctuation, above, RAPID, bags=_STARTS,
             remark=f"Change from one answer to the next that one in ten exceeds. Rapid: above {RAPID:g} m",

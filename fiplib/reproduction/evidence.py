@@ -31,7 +31,7 @@ INCOMPLETE = "The study is not complete"
 
 
 class Evidence(NamedTuple):
-    """What speaks for a claim, or against it.
+    """The evidence for or against a claim.
 
     ``values`` of the flights (NaN: it fell, or nothing was measured); ``recorded``, the value of the recorded flight;
     ``note``, how it was measured and what limits it; ``ours``, what is shown for our number where it is not the median
@@ -200,7 +200,7 @@ def remedy(*sources: Flight | Rows) -> Evidence:
     *flights, rows = sources
     _, explored, _, _ = quantities.search_gaps(*flights)
     share, rate = quantities.EXPLORING.values()
-    words = f"As G4.search, with r_p = {share:g} and r_m = {rate:g}. A flight agrees if there is something to mend and "
+    words = f"As G4.search, with r_p = {share:g} and r_m = {rate:g}. A flight agrees if exploration limits it and "
     words += "the GA comes closer to the best of all lengths"
     found = _gaps(rows)
     values = [float(gap > optimum and explored < gap) for gap, explored, optimum in found]

@@ -141,7 +141,7 @@ def fig5_estimation(flight: Flight, spread: Rows = ()) -> Figure:
 
     Lines: the recorded flight (simulated), with the length that each run of the genetic algorithm answers (dots) and
     the one in use, their median. Bands: 5 to 95 % of 20 simulated flights, of which the recorded one is one, with
-    other noise only. Dashed: when the paper's length converged, at 12.43 s, and the length that it came to, 1.0 m.
+    other noise only. Dashed: time and value at which the paper's length converged, 12.43 s and 1.0 m.
     Nothing is known before the first window of 55 samples is full, at 5.5 s. The first answers are 6 to 16 cm short;
     from 12 s on the length in use lies between 0.93 and 1.04 m, and x is tracked as it is with the true length.
     """

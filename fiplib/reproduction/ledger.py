@@ -192,13 +192,13 @@ RULE = (
 )
 WIDTH = 100
 COLUMNS = {"row": 9, "claim": 27, "paper": 8, "ours [95 %]": 23, "agree (95 %)": 19, "verdict": 9}
-"""Of the ledger in a terminal, with a space between them."""
+"""Column widths of the ledger in a terminal, with a space between columns."""
 
 SUMMARY = {
     **{"group": 17, "hold": 5, "fail": 5, "undec.": 6},
     **{"main row": 9, "ours [95 %]": 23, "agree (95 %)": 19, "verdict": 9},
 }
-"""Of its summary: how many tested rows of a group have each verdict, and the row that stands for it."""
+"""Column widths of its summary: the tested rows of a group by verdict, and the group's main row."""
 
 WORDS = {Verdict.HOLDS: "hold", Verdict.FAILS: "fail", Verdict.UNDECIDED: "are undecided", Verdict.OPEN: "are open"}
 
@@ -218,7 +218,7 @@ def as_text(rows: Sequence[Row], verbose: bool = False) -> str:
 
 
 def explained(row: Row) -> str:
-    """What stands behind a row, in sentences."""
+    """Return the reasons for the verdict of a row, as sentences."""
     reason = {Kind.FITTED: "Fitted", Kind.NOT_TESTABLE: "Not testable", Kind.TESTED: "Undecided"}[Kind(row.kind)]
     words = [
         f"Criterion: {row.criterion}." if row.kind == Kind.TESTED and row.criterion else "",
@@ -334,7 +334,7 @@ NUMBERS = (
     *("paper", "ours", "ours_low", "ours_high", "recorded"),
     *("agree", "flights", "share_low", "share_high", "verdict", "half", "twice", "kind"),
 )
-"""What the report may say of a row."""
+"""Fields of a row that the report may cite."""
 
 
 def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:

@@ -93,12 +93,12 @@ def y_error(flight: Flight) -> float:
 
 
 def final_length(flight: Flight) -> float:
-    """The length that the flight's estimate came to, m."""
+    """Return the final length of the flight's estimate, m."""
     return convergence(flight).length
 
 
 def converged(flight: Flight) -> float:
-    """When the used length came to within ``CONVERGED`` of its final value to stay there, s from the start."""
+    """Return when the used length entered ``CONVERGED`` around its final value and stayed there, s from the start."""
     return convergence(flight).time
 
 

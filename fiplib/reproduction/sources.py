@@ -52,7 +52,7 @@ class Sources:
 
     @property
     def names(self) -> list[str]:
-        """What the ledger calls them."""
+        """Return the name of the sources in the ledger."""
         tables = [f"sweeps/{study}" for study in self.studies] + [f"{table}.csv" for table in self.benchmarks]
         return [*self.bags, *tables]
 

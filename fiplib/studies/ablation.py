@@ -53,7 +53,7 @@ GRID = 3e-3
 """Step of the first grid, m: the likelihood of poses has one maximum, whose width is 3 mm and more."""
 
 STEP = 1e-3
-"""Of the curvature, m: small beside any deviation that a window can reach, large beside rounding."""
+"""Step in length for the curvature, m: small beside any deviation that a window can reach, large beside rounding."""
 
 Fitness = Callable[[NDArray], NDArray]
 

@@ -126,7 +126,7 @@ class Flown:
         return best._replace(delay=best.delay - params.simulation.mocap_latency)
 
     def refitted(self) -> str:
-        """What the recommended estimator makes of the flight, in a sentence."""
+        """Return the recommended estimator's result for the flight, as a sentence."""
         flight = self.tape.flight(self.scenario.name, self.metadata)
         seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(self.scenario.duration * NANO)
         if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):

@@ -9,8 +9,8 @@ derived states, or 2.5 s of raw motion capture. Per estimator ``NAME`` the row h
 - ``covered_NAME``: answers whose 95 % interval covers the truth; ``sd_NAME``: their mean standard deviation, m; nan
   both for an estimator that states none;
 - ``bound_NAME``: root mean square over the windows of the bound for the *raw* motion capture of the same span, m, so
-  that derived states and raw frames are held against the same limit. What an estimator takes for unknown is unknown
-  in its bound too (``UNKNOWN``); all others take the calibration of motion capture for exact.
+  that derived states and raw frames are compared with the same limit. A quantity that an estimator takes as unknown
+  is unknown in its bound too (``UNKNOWN``); the other estimators take the calibration of motion capture as exact.
 """
 
 import math
@@ -40,7 +40,7 @@ KEYS = ("excitation", "gyration_ratio", "seed")
 EXCITATIONS = {"circle-0.4": Circle(0.4, 8.0), "circle-0.8": Circle(0.8, 9.0), "hover": Hover()}
 
 UNKNOWN = dict.fromkeys(("poses", "ga_poses"), (CALIBRATION, "inertia_factor"))
-"""What is unknown beside state and length, by estimator."""
+"""The quantities that each estimator takes as unknown beside state and length."""
 
 DURATION = 22.0
 """s: three windows of derived states and five of raw motion capture after ``SETTLED``."""
@@ -286,7 +286,7 @@ def fig10_intervals(flight: Flight, spread: Rows = ()) -> Figure:
     Bars: windows of 2.5 s, one every half second, of the recorded flight (simulated, l0 = 1.4 m, a rod of 1 m on the
     0.4 m circle). Bands: 5 to 95 % of the answers over 20 simulated flights, among them the recorded one: blue of the
     poses, orange of the genetic algorithm. The blue band, 0.995 to 1.006 m, is as wide as the stated intervals, so
-    these can be believed; the orange one is ten times as wide, and below the true length at first.
+    these can be trusted; the orange one is ten times as wide, and below the true length at first.
     """
     from fiplib.estimators.poses.in_flight import InFlight  # compiled code: half a second to import
 

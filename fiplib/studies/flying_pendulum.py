@@ -46,7 +46,7 @@ SECONDS, SETTLED = 15.0, 7.0
 """Duration of a flight, and from when on it is judged, s: the circle is at speed from 5 s on."""
 
 OFFSET, CIRCLE_ERROR = 0.05, 0.1
-"""What the experiment reports, m: about."""
+"""Errors that the experiment reports, approximately, m."""
 
 OTHER_WEIGHTS = (WEIGHTS.input / 5, WEIGHTS.input * 4)
 """Input weights for which the misalignment is computed, too; the state weight is 1."""

@@ -5,11 +5,11 @@ trusted hand-over expects them, uniform in [0.5, 1.5] m; of the next ``OUTSIDE``
 [0.3, 0.5] m, and the others longer, in [1.5, 2] m. It follows the 0.4 m circle, which starts at once. A row is one
 flight under one policy:
 
-- ``told``: the controller has the true length from the start. What falls here, no estimator could save.
+- ``told``: the controller has the true length from the start. No estimator could save a rod that falls here.
 - ``printed``: the paper's genetic algorithm and hand-over from l0 on, with the likelihood as its fitness (our default);
   ``short``: the same from the first length of ``trusted``, the shortest rod to expect, instead of l0;
   ``literal``, for the first ``LITERAL`` indices only: from l0, with the fitness that the paper prints.
-- ``trusted``: the estimate from poses, and the hand-over that trusts it as far as it is sure.
+- ``trusted``: the estimate from poses, and the hand-over that trusts it in proportion to its precision.
 
 All policies fly the same rod with the same noise. 840 rows, about 5 minutes of two cores.
 """

@@ -42,7 +42,7 @@ CIRCLE = Circle(0.4, 8.0)
 
 @dataclass(frozen=True)
 class Imperfection:
-    """What is otherwise than the estimator is told.
+    """The differences between the laboratory and the estimator's assumptions.
 
     ``late`` and ``jitter`` are mean and standard deviation in s of how much later a command acts; ``lag`` in s is added
     to the inner loop's; ``gain`` multiplies body rates, ``thrust`` the thrust; ``gust`` is the standard deviation in

