@@ -141,7 +141,7 @@ def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: 
 
 
 def _blocks(storage: McapReader | Sqlite3Reader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
-    """The messages of some topics, a block for each topic of each chunk."""
+    """Yield the messages of some topics, a block for each topic of each chunk."""
     chunked = isinstance(storage, McapReader) and storage.chunks
     for piece in _chunks(storage, wanted) if chunked else _batches(storage, wanted):
         for channel, link in wanted.items():
@@ -169,7 +169,7 @@ def _batches(
 
 
 def _decompressed(block: Block) -> Block:
-    """The block with every message unpacked that was compressed by itself."""
+    """Return the block with every message unpacked that was compressed by itself."""
     contents = [unpacked(block.message(index)) for index in range(len(block.start))]
     end = np.cumsum([len(content) for content in contents])
     return Block(block.topic, block.received, b"".join(contents), np.append(0, end[:-1]), end)

@@ -38,7 +38,7 @@ STATE, STAGE = len(STATES), len(STATES) + len(INPUTS)
 
 
 def exact_model() -> ca.Function:
-    """The exact model x' = f(x, u, l) in the states and inputs of the prediction model, as a CasADi function."""
+    """Return the exact model x' = f(x, u, l) in the states and inputs of the prediction model, as a CasADi function."""
     x, u, length = ca.SX.sym("x", STATE), ca.SX.sym("u", len(INPUTS)), ca.SX.sym("l")
     phi, theta = x[PHI], x[THETA]
     seat = ca.vertcat(GRAVITY * ca.tan(theta) / ca.cos(phi), -GRAVITY * ca.tan(phi), 0)

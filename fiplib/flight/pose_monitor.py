@@ -107,7 +107,7 @@ class PoseMonitor:
         return x, y, z
 
     def _numbers(self, measurement: Measurement) -> tuple[NDArray | None, str | None]:
-        """The 14 numbers of a frame, or why they are no two poses."""
+        """Return the 14 numbers of a frame, or why they are no two poses."""
         try:
             values = numbers_of(measurement)
         except ValueError:
@@ -132,7 +132,7 @@ class PoseMonitor:
         return "frame repeated" if stamp == raw[0] else f"{' and '.join(frozen)} pose frozen"
 
     def _stamped(self, now: int, stamp: int) -> int | None:
-        """The stamp to use for a frame, or ``None`` (and ``refusal``)."""
+        """Return the stamp to use for a frame, or ``None`` (and ``refusal``)."""
         if self._last is None and self._newest == 0:
             self._delay = now - stamp
             return stamp
@@ -174,7 +174,7 @@ class PoseMonitor:
         return corrected
 
     def _says_old(self, now: int, stamp: int) -> bool:
-        """Whether a pose is, by its stamp, as old as one that disarms: from a recording that is played, perhaps.
+        """Return whether a pose is, by its stamp, as old as one that disarms: from a recording that is played, perhaps.
 
         A clock that has stepped back looks the same; arrivals must not stand in for its stamps either.
         """

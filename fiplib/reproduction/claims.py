@@ -80,27 +80,27 @@ class Claim(Sources):
 
     @property
     def of(self) -> tuple[str, ...]:
-        """The names of what it is read from, in the order in which ``gather`` gets them."""
+        """Return the names of what it is read from, in the order in which ``gather`` gets them."""
         return (*self.bags, *self.studies, *self.benchmarks)
 
     @property
     def criterion(self) -> str:
-        """When a flight agrees, in words; empty where the note says it."""
+        """Return the criterion by which a flight agrees, in words; empty where the note has it."""
         words = CRITERIA[self.agrees].format(self.tolerance)
         needed = "" if self.late is None else f"a share of {1 - self.late:.0%} is needed"
         return "; ".join(filter(None, (words, needed)))
 
     @property
     def unprinted(self) -> bool:
-        """Whether the answer hangs on a choice that the paper does not print."""
+        """Return whether the answer depends on a choice that the paper does not print."""
         return self.kind is Kind.TESTED and bool(self.reason)
 
     def agree(self, value: float, factor: float = 1.0) -> bool:
-        """Whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
+        """Return whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
         return not math.isnan(value) and bool(self.agrees(value, self.paper, factor * self.tolerance))
 
     def needed(self, factor: float = 1.0) -> float:
-        """The share of flights, or events, that has to be exceeded."""
+        """Return the share of flights, or events, that has to be exceeded."""
         return HALF if self.late is None else 1.0 - factor * self.late
 
 
@@ -197,7 +197,7 @@ def _flight(id: str, text: str, paper: float | None, unit: str, decimals: int, *
 
 
 def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
-    """The rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
+    """Return the rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
     text, bag, printed = f"From l0 = {start} m:", (f"estimate-{start}",), partial(evidence.printed_error, error)
     return (
         _flight(f"{id}.length", f"{text} length reached", length, "m", 3, quantities.final_length, accurate, ACCURACY,

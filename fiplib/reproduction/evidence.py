@@ -149,7 +149,7 @@ def first_time(flight: Flight, rows: Rows) -> tuple[str, dict]:
 
 
 def identity(*sources: Flight | Rows) -> tuple[str, dict]:
-    """The printed fitness with unit covariances."""
+    """Return the printed fitness with unit covariances."""
     *flights, rows = sources
     starts = [flight.metadata.get("scenario", "") for flight in flights]
     plain = column(rows, "printed_identity", "default", starts) if rows else []
@@ -209,7 +209,7 @@ def remedy(*sources: Flight | Rows) -> Evidence:
 
 
 def _falls(rows: Rows, variant: str) -> list[float]:
-    """Whether each flight of a variant of the changed length fell."""
+    """Return whether each flight of a variant of the changed length fell."""
     return [1.0 - row["survived"] for row in rows if _is(row, variant, "length-jump")]
 
 

@@ -49,7 +49,7 @@ def cases() -> list[dict]:
 
 
 def run(case: dict) -> dict[str, float]:
-    """The bounds of one case.
+    """Return the bounds of one case.
 
     Returns:
         ``bound_SECONDS``: the bound in m for a window of so many seconds.
@@ -71,7 +71,7 @@ def run(case: dict) -> dict[str, float]:
 
 
 def _row(rows: Rows, changes: dict[str, str]) -> dict[str, Any]:
-    """The row of the usual case, but for ``changes``."""
+    """Return the row of the usual case, but for ``changes``."""
     usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
     [row] = [row for row in rows if (usual | changes).items() <= row.items()]
     return row

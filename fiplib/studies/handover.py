@@ -1,4 +1,4 @@
-"""Does the loop survive its own estimator? Random rods, random first lengths, and five ways to the used length.
+"""Survival of the loop with its own estimator: random rods and first lengths, and five ways to the used length.
 
 A flight is drawn by its index: l0 uniform in [0.4, 1.6] m, and a uniform rod. The first ``EXPECTED`` rods are as the
 trusted hand-over expects them, uniform in [0.5, 1.5] m; of the next ``OUTSIDE`` every other one is shorter, in
@@ -162,7 +162,7 @@ def fig11_handover(rows: Rows) -> Figure:
 
 
 def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
-    """The indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
+    """Return the indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
     told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
     flown = [row for row in rows if row["policy"] == policy]
     return told, flown, [row for row in flown if row["survived"] == 1]

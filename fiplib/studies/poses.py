@@ -1,4 +1,4 @@
-"""Does the interval of the pose estimator hold the length, whatever was not stated? (docs/studies.md)
+"""Coverage of the pose estimator's interval, whatever was not stated (docs/studies.md).
 
 A case is one simulated flight of 16 s; its columns summarise four windows of 2.5 s, in which only the poses of vehicle
 and rod are seen: no commands, no thrust, no delays. The poses are made from the true states here, with fresh noise: the

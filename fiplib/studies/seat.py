@@ -1,4 +1,4 @@
-"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
+"""The pilot's knowledge of its seat: rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
 
 A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
 which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
@@ -89,7 +89,7 @@ def _median(values: list[float]) -> float:
 
 
 def _error(flight: Flight, motion: Scenario) -> float:
-    """The rms distance, in m, of the true seat from its reference once the flight has settled."""
+    """Return the rms distance, in m, of the true seat from its reference once the flight has settled."""
     times = flight.time(flight.truth_state)
     settled = times >= SETTLED
     away = flight.truth_state.values[settled][:, [X, Y]] - motion.reference.at(times[settled])[:, [X, Y]]
@@ -189,7 +189,7 @@ def table14_seat(rows: Rows) -> Table:
 
 
 def _row(rows: Rows, *case: str | float) -> dict:
-    """The row of a case, given in the order of ``KEYS``."""
+    """Return the row of a case, given in the order of ``KEYS``."""
     return next(row for row in rows if tuple(row[key] for key in KEYS) == case)
 
 
