@@ -69,7 +69,7 @@ def weights(
     p = params.control.terminal_factor * q if terminal_weights is None else terminal_weights
     p = _weight_matrix("terminal_weights P", p, len(STATES))
     if np.linalg.eigvalsh(r)[0] <= 0.0:
-        raise ValueError("input_weights R must be positive: an input that costs nothing has no best value")
+        raise ValueError("input_weights R must be positive: otherwise the optimal input is not unique")
     return Weights(q, r, p)
 
 

@@ -274,7 +274,7 @@ def _stamps(
     elif rate is None:
         raise BagError(f"{source}: neither a column of times nor a rate: say --rate HZ, or time=T within --columns")
     elif not 0 < rate < np.inf:
-        raise BagError(f"{source}: a rate of {rate:g} Hz is none")
+        raise BagError(f"{source}: a rate of {rate:g} Hz is not positive and finite: correct --rate")
     elif layout.frame is not None:
         seconds, words = (times[:, 1] - times[0, 1]) / rate, f"times are the frame numbers over {rate:g} Hz"
     else:

@@ -185,7 +185,7 @@ def _metadata(source: Path, entries: Mapping[str, Any]) -> dict[str, Any]:
         except (TypeError, ValueError):
             metadata[key] = value
     if metadata["origin"] not in ORIGINS:
-        raise BagError(f"{source}: its origin {metadata['origin']!r} is none of {', '.join(ORIGINS)}: mend it")
+        raise BagError(f"{source}: its origin {metadata['origin']!r} is none of {', '.join(ORIGINS)}: correct it")
     return metadata
 
 

@@ -108,7 +108,7 @@ def opened(path: Path) -> Iterator[Source]:
         storages.sort(key=lambda storage: storage.metadata.start_time)
         spans = [storage.metadata for storage in storages]
         if not information and any(one.end_time > other.start_time + 1 for one, other in pairwise(spans)):
-            raise BagError(f"{path}: its {len(storages)} files overlap in time: give the one that is meant")
+            raise BagError(f"{path}: its {len(storages)} files overlap in time: name one of them instead")
         counts: Counter[str] = Counter()
         topics: dict[str, Stored] = {}
         for link in (link for storage in storages for link in storage.connections):

@@ -1,4 +1,4 @@
-"""Decides which frames of motion capture are good: by their numbers, their stamps, and the change since the last one.
+"""Checks of the frames of motion capture: their numbers, their stamps, and the change since the last one.
 
 No clock and no I/O: time comes in with the frames. A refused frame counts as none; ``failsafe.Guard`` acts on the age
 of the last good one.
@@ -33,7 +33,7 @@ Tilts = Callable[[int], tuple[float, float]]
 
 
 class PoseMonitor:
-    """Takes every frame as it arrives; says whether it is good, why not, and how old the newest good one is.
+    """Check every frame as it arrives: whether it is good, why not, and how old the newest good one is.
 
     Stamps are compared with arrivals, whose clock may be another one: the change of their difference is judged.
     When the stamps' clock has stepped or lost its order, frames are stamped anew by their arrival until it is steady.

@@ -306,8 +306,8 @@ def as_latex(rows: Sequence[Row]) -> str:
 def table21_sensitivity(*sources: Flight | Rows | Quantities) -> Table:
     """Table 21: the verdict of every tested claim with half the tolerance of its criterion, as stated, and with twice.
 
-    The share that agrees of the simulated flights of Table 5, 40 flights or 120, and the verdict. A claim that hangs on
-    a choice that is not printed is undecided with every tolerance. Where a share is needed, the tolerance is what may
+    The share that agrees of the simulated flights of Table 5, 40 flights or 120, and the verdict. A claim that depends
+    on an unprinted choice is undecided with every tolerance. Where a share is needed, the tolerance is what may
     be missing from it.
     """
     known = dict(zip((*JUDGED.bags, *JUDGED.studies, *JUDGED.benchmarks), sources, strict=True))

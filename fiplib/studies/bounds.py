@@ -82,8 +82,8 @@ def fig12_bound(rows: Rows) -> Figure:
 
     Uniform rod of 1 m, RMS over 3 windows of one simulated flight each; it is computed from the motion, not from noise.
     Left: by the reference flown, left legend: radius and time of a lap. Right: the 0.4 m circle (8 s) with noise five
-    times as large, or with less known. Grey: 1 cm. A circle under way gives a centimetre within a second, hover takes
-    about three times as long; in short windows nothing costs as much as not to know where the markers sit.
+    times as large, or with more unknowns. Grey: 1 cm. A circle at speed gives a centimetre within a second, hover takes
+    about three times as long; in short windows unknown positions of the markers cost most.
     """
     figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
     # curves fill the panels: their names have a row of their own

@@ -133,7 +133,7 @@ def fig11_handover(rows: Rows) -> Figure:
     200 simulated flights of 12 s on the 0.4 m circle (8 s) for each way, the same rods (uniform) and noise: as printed
     from the drawn first length, as printed from 0.5 m, and the trusted hand-over of the estimate from raw poses. Grey:
     rods to expect, half of all flights. Titles: how many stay up, with the binomial 95 % interval of their share. The
-    short start alone saves the rods to expect; the shorter ones need an estimate within two seconds, which only the
+    short start alone saves the expected rods; the shorter ones need an estimate within two seconds, which only the
     trusted hand-over has.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
@@ -204,7 +204,7 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
 
 
 def table8_handover(rows: Rows) -> Table:
-    """Table 8: random rods and first lengths under five ways to the length in use: who stays up, how soon it is right.
+    """Table 8: random rods and first lengths under five ways to the length in use: survival, time until it is right.
 
     200 simulated flights of 12 s on the 0.4 m circle (8 s), of the printed fitness 40, uniform rods, the same noise for
     all ways; in brackets: binomial 95 % intervals in per cent. Right: within 5 % of the true length from the time given

@@ -138,7 +138,7 @@ def misread(flight: Flight, imperfection: Imperfection) -> Flight:
 
 
 def table11_imperfections(rows: Rows) -> Table:
-    """Table 11: two estimators when vehicle and laboratory are not quite as stated: what is left of their answers.
+    """Table 11: errors of two estimators when vehicle and laboratory differ from what is stated.
 
     The genetic algorithm on derived states and the estimate from raw poses, on 20 simulated flights of the 0.4 m circle
     (8 s) for each imperfection, uniform rod of 1 m, pooled over 3 windows of 5.4 s or 5 of 2.5 s a flight; in brackets:

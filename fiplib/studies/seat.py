@@ -156,7 +156,7 @@ def fig17_seat(rows: Rows) -> Figure:
 
 
 def table14_seat(rows: Rows) -> Table:
-    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands.
+    """Table 14: the pilot's seat height: survival, the error, the largest lean and the rate commands.
 
     20 simulated flights of 20 s in each cell, in hover with three pushes and on the 0.4 m circle (8 s); behind the
     number that stays up its exact 95 % interval in per cent. RMS error, largest lean and RMS rate command are medians
