@@ -79,7 +79,7 @@ bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone:
 # kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
 sweep: export OPENBLAS_CORETYPE := Haswell
 sweep: export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
-sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
+sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; it can be stopped and resumed
 	$(PY) -m fiplib sweep $(STUDIES)
 
 bench: .venv-bench/installed ## time everything beside its alternatives, each topic in a process: benchmarks/results.csv

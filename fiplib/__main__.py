@@ -80,7 +80,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _one_line(text: str) -> str:
-    """The text without line breaks and other control characters, which names of files may hold."""
+    """Return the text without line breaks and other control characters, which names of files may hold."""
     return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", " ", text)
 
 

@@ -1,4 +1,4 @@
-"""Kalman filter over a window of flight data, with a candidate length inside: how well does it explain the data?
+"""Kalman filter over a window of flight data, with a candidate length in its model: the fitness of that length.
 
 ``filter_step`` is the filter as a textbook has it, one line an equation of the paper, and ``filter_window`` runs it
 over a window. ``fitness`` is the same filter in a compiled loop (``kernels.filtering``), for thousands of lengths: each
@@ -131,7 +131,7 @@ def reading(estimation: Estimation) -> Reading:
 
 
 def linear_model(length: float, step: float, transition: str) -> LinearModel:
-    """The prediction model of a length in m over ``step`` s, in one of the ``TRANSITIONS``."""
+    """Return the prediction model of a length in m over ``step`` s, in one of the ``TRANSITIONS``."""
     continuous, discrete = _derivatives(step)
     A, B = (matrix.full() for matrix in continuous(0, 0, length))
     if transition == "rk4":
@@ -178,7 +178,7 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
 
 
 def filter_window(lengths: ArrayLike, window: Window, estimation: Estimation) -> Filtered:
-    """The textbook's filter over a window, for a look inside; takes some ms a length. Errors as ``fitness``."""
+    """Return the textbook's filter over a window, for a look inside; takes some ms a length. Errors as ``fitness``."""
     lengths = _checked_lengths(lengths)
     transition, (Q, R) = reading(estimation).transition, map(np.diag, _noise(estimation))
     samples = len(window.states) - 1

@@ -344,7 +344,7 @@ def _parsed(value: Any) -> Any:
 
 
 def _checked(name: str, value: Any, group: Any, key: str) -> Any:
-    """The value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
+    """Return the value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
     current, metadata = getattr(group, key), group.__dataclass_fields__[key].metadata
 
     def number(item: Any, kinds: Any = int | float) -> bool:

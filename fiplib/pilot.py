@@ -143,7 +143,7 @@ class Pilot:
 
     @property
     def window_seconds(self) -> float:
-        """How long the estimator's window is, s."""
+        """Return how long the estimator's window is, s."""
         return self._sampler.seconds
 
     def forget_window(self) -> None:
@@ -193,7 +193,7 @@ def least_period(piloting: Piloting) -> int:
 
 
 def estimator_of(params: Params) -> Estimator:
-    """The estimator that a flight uses; ValueError if its name is not known."""
+    """Return the estimator that a flight uses; ValueError if its name is not known."""
     return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
 
 

@@ -123,7 +123,7 @@ class Series:
         return cls(stamp, values, ROLES[role].names, ROLES[role].units)
 
     def column(self, name: str) -> np.ndarray:
-        """The column (n,) of that name. Raises KeyError, with the names there are."""
+        """Return the column (n,) of that name. Raises KeyError, with the names there are."""
         if name not in self.names:
             raise KeyError(f"no column {name!r}; columns are {', '.join(self.names)}")
         return self.values[:, self.names.index(name)]
@@ -192,12 +192,12 @@ class Flight:
 
     @property
     def survived(self) -> bool:
-        """Whether no fall was recorded: rod and vehicle were up to the end."""
+        """Return whether no fall was recorded: rod and vehicle were up to the end."""
         return all(event.kind != "fall" for event in self.events)
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulator made this flight. Every figure and number made from it must say so."""
+        """Return whether a simulator made this flight. Every figure and number made from it must state this."""
         return self.metadata["origin"] == "simulated"
 
     @property
@@ -273,7 +273,7 @@ class MemoryRecorder(Recorder):
             self._other.event(stamp, level, text, kind, data)
 
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
-        """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
+        """Return the flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
         return flight_of(path, metadata, self.stamps, self.values, self.events)
 
 

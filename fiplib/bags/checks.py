@@ -220,7 +220,7 @@ def _up(flight: Flight, tried: _Tried) -> Iterator[Finding]:
 
 
 def _flies(flight: Flight) -> bool:
-    """Whether the vehicle is seen to accelerate to where it tilts."""
+    """Return whether the vehicle is seen to accelerate to where it tilts."""
     moved = motion.thrust(flight.vehicle)
     return moved is not None and moved.proven and moved.scale > 0 and abs(moved.turn) < 1.0
 

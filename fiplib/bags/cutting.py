@@ -136,7 +136,7 @@ def _written(path: Path, bag: Source, output: Path, start: float, end: float | N
 
 
 def _zero(path: Path, bag: Source, topics: dict[str, str]) -> tuple[int, str]:
-    """The log time in ns that times are counted from, and what it is."""
+    """Return the log time in ns that times are counted from, and what it is."""
     with suppress(Exception):  # no bag of a flight, or one whose bodies must be named first
         places, _ = places_of(bag, path, topics)
         firsts = [next(iter(islice(bag.blocks([places[body].topic]), 1))).received.min() for body in BODIES]

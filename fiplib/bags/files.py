@@ -97,12 +97,12 @@ def files_of(path: Path, information: Mapping[str, Any], missing: list[str] | No
 
 
 def _plain(name: str) -> str:
-    """The name of a file before it was compressed as a whole."""
+    """Return the name of a file before it was compressed as a whole."""
     return re.sub(r"\.zstd?$", "", name)
 
 
 def _recording(name: str) -> str:
-    """The name of a recording by that of one of its files: ``lab`` for ``lab_3.mcap.zstd``."""
+    """Return the name of a recording by that of one of its files: ``lab`` for ``lab_3.mcap.zstd``."""
     return re.sub(r"(_\d+)?(\.(mcap|db3))?(\.zstd?)?$", "", name)
 
 

@@ -88,7 +88,7 @@ class LiveRecorder(BagRecorder):
 
     @property
     def pid(self) -> int:
-        """The id of the process that writes."""
+        """Return the id of the process that writes."""
         return self._process.pid
 
     def pose(

@@ -61,7 +61,7 @@ class Recovery(NamedTuple):
 
     @property
     def undamaged(self) -> bool:
-        """Whether there was nothing to recover: the new bag is a copy."""
+        """Return whether there was nothing to recover: the new bag is a copy."""
         lost = self.gaps or self.nameless or self.repeated or self.unreadable or self.missing
         return self.finished and not lost and not any(topic.lost for topic in self.saved)
 
@@ -135,7 +135,7 @@ def recover(source: str | Path, output: str | Path | None = None) -> Recovery:
 
 
 def intact_messages(source: Path) -> int:
-    """How many messages ``recover`` would save."""
+    """Return how many messages ``recover`` would save."""
     with ExitStack() as stack:
         return sum(sum(rest.counts.values()) for rest in _remains(_files(source, []), stack))
 
@@ -181,7 +181,7 @@ def _nothing(files: Sequence[Path], remains: Sequence[Remains]) -> str:
 
 
 def _qos(metadata: bytes) -> Sequence[Any]:
-    """The quality of service that a channel was offered with; none where a damaged byte makes it unreadable."""
+    """Return the quality of service that a channel was offered with; none where a damaged byte makes it unreadable."""
     try:
         return get_qos(metadata)
     except Exception:  # a length, a letter, a key, a number: whatever the damage hit

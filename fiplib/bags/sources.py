@@ -108,7 +108,7 @@ def opened(path: Path) -> Iterator[Source]:
         storages.sort(key=lambda storage: storage.metadata.start_time)
         spans = [storage.metadata for storage in storages]
         if not information and any(one.end_time > other.start_time + 1 for one, other in pairwise(spans)):
-            raise BagError(f"{path}: its {len(storages)} files overlap in time: give the one that is meant")
+            raise BagError(f"{path}: its {len(storages)} files overlap in time: name one of them instead")
         counts: Counter[str] = Counter()
         topics: dict[str, Stored] = {}
         for link in (link for storage in storages for link in storage.connections):
@@ -141,7 +141,7 @@ def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: 
 
 
 def _blocks(storage: McapReader | Sqlite3Reader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
-    """The messages of some topics, a block for each topic of each chunk."""
+    """Yield the messages of some topics, a block for each topic of each chunk."""
     chunked = isinstance(storage, McapReader) and storage.chunks
     for piece in _chunks(storage, wanted) if chunked else _batches(storage, wanted):
         for channel, link in wanted.items():
@@ -169,7 +169,7 @@ def _batches(
 
 
 def _decompressed(block: Block) -> Block:
-    """The block with every message unpacked that was compressed by itself."""
+    """Return the block with every message unpacked that was compressed by itself."""
     contents = [unpacked(block.message(index)) for index in range(len(block.start))]
     end = np.cumsum([len(content) for content in contents])
     return Block(block.topic, block.received, b"".join(contents), np.append(0, end[:-1]), end)

@@ -71,7 +71,7 @@ def _stray(position: NDArray, distance: float) -> NDArray:
 
 
 def _stretch(stamps: list[NDArray]) -> tuple[int, int]:
-    """The longest time in which no body has a gap, from stamp to stamp in ns."""
+    """Return the longest time in which no body has a gap, from stamp to stamp in ns."""
     if not all(len(stamp) for stamp in stamps):
         return 0, 0
     start, end = max(int(stamp[0]) for stamp in stamps), min(int(stamp[-1]) for stamp in stamps)

@@ -1,4 +1,4 @@
-"""Linear analysis of one axis of the closed loop, delay and lag included: is it stable, and with how much to spare?
+"""Linear analysis of one axis of the closed loop, delay and lag included: stability and its margins.
 
 Between two control ticks everything in the loop is linear and runs on a fixed grid: the plant's substeps, the frames of
 motion capture, the ticks. So the loop from tick to tick is one matrix, without approximation of delay or sampling:

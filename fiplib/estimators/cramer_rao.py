@@ -1,4 +1,4 @@
-"""How well anybody could do: the Cramer-Rao bound of the length from a stretch of motion capture.
+"""The Cramer-Rao bound of the length from a stretch of motion capture: no unbiased estimator does better.
 
 The simulated vehicle has no process noise: what is measured is a deterministic trajectory of the coupled plant, fixed
 by the state at its first frame, the length, and the commands, plus the independent noise of motion capture. The Fisher
@@ -57,7 +57,7 @@ class Motion(NamedTuple):
 
 
 def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = None) -> Motion:
-    """The true trajectory of a simulated flight between two times of exposure, heading along x.
+    """Return the true trajectory of a simulated flight between two times of exposure, heading along x.
 
     Raises BagError: the flight holds no truth or no commands.
     """
@@ -134,7 +134,7 @@ DYNAMIC = ("inertia_factor", "rate_lag", "com_height", "mass_ratio", "length")
 """Parameters of the plant that an estimate from poses alone does not know."""
 
 CONSTANTS = np.array([0.02, 0.02, 0.1, 0.1, 0.1, 0.1])
-"""How well the calibration is known: of the rod's tracked point beside its axis, m, of the vehicle's body frame and of
+"""Standard deviations of the calibration: the rod's tracked point beside its axis, m, the vehicle's body frame and
 the rod's, rad, each along x and y."""
 
 
@@ -245,7 +245,7 @@ def _rebased(sensitivity: NDArray, triangle: NDArray) -> tuple[NDArray, NDArray]
 
 
 def _tangents(state: NDArray) -> NDArray:
-    """The ways (20, 17) in which a state can differ from this one and still be a state."""
+    """Return the ways (20, 17) in which a state can differ from this one and still be a state."""
     x, y, z, w = state[PLANT["attitude"]]
     q, q_dot = state[PLANT["direction"]], state[PLANT["direction_rate"]]
     across = np.linalg.svd(q[None])[2][1:].T

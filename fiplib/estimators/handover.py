@@ -1,4 +1,4 @@
-"""From estimates to the length that the MPC uses: as printed, or with trust in proportion to what the data hold.
+"""From estimates to the length that the MPC uses: as printed, or weighted by the estimates' precision.
 
 A wrong length is not equally wrong on both sides. In simulated flights on the 0.4 m circle a controller that
 uses 0.5 m keeps every rod from 0.5 to 2.0 m up, while 1.6 m lets a rod of 0.5 m fall within 1.6 s, before any estimate.

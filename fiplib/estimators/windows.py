@@ -61,7 +61,7 @@ class RawWindow(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """How long the window is, s."""
+        """Return how long the window is, s."""
         stamps = [body.stamp for body in self if len(body.stamp)]
         return (max(stamp[-1] for stamp in stamps) - min(stamp[0] for stamp in stamps)) / NANO if stamps else 0.0
 

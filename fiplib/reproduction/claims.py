@@ -80,27 +80,27 @@ class Claim(Sources):
 
     @property
     def of(self) -> tuple[str, ...]:
-        """The names of what it is read from, in the order in which ``gather`` gets them."""
+        """Return the names of what it is read from, in the order in which ``gather`` gets them."""
         return (*self.bags, *self.studies, *self.benchmarks)
 
     @property
     def criterion(self) -> str:
-        """When a flight agrees, in words; empty where the note says it."""
+        """Return the criterion by which a flight agrees, in words; empty where the note has it."""
         words = CRITERIA[self.agrees].format(self.tolerance)
         needed = "" if self.late is None else f"a share of {1 - self.late:.0%} is needed"
         return "; ".join(filter(None, (words, needed)))
 
     @property
     def unprinted(self) -> bool:
-        """Whether the answer hangs on a choice that the paper does not print."""
+        """Return whether the answer depends on a choice that the paper does not print."""
         return self.kind is Kind.TESTED and bool(self.reason)
 
     def agree(self, value: float, factor: float = 1.0) -> bool:
-        """Whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
+        """Return whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
         return not math.isnan(value) and bool(self.agrees(value, self.paper, factor * self.tolerance))
 
     def needed(self, factor: float = 1.0) -> float:
-        """The share of flights, or events, that has to be exceeded."""
+        """Return the share of flights, or events, that has to be exceeded."""
         return HALF if self.late is None else 1.0 - factor * self.late
 
 
@@ -197,7 +197,7 @@ def _flight(id: str, text: str, paper: float | None, unit: str, decimals: int, *
 
 
 def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
-    """The rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
+    """Return the rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
     text, bag, printed = f"From l0 = {start} m:", (f"estimate-{start}",), partial(evidence.printed_error, error)
     return (
         _flight(f"{id}.length", f"{text} length reached", length, "m", 3, quantities.final_length, accurate, ACCURACY,
@@ -212,7 +212,7 @@ CLAIMS = (
             bags=_PUSH, remark=evidence.when_pushed),
     _flight("D2", "Pushes: largest deviation of a, b", 0.058, "m", 3, quantities.push_lean, about, ABOUT, Kind.FITTED,
             bags=_PUSH, remark=partial(evidence.push_angle, 0.058, 6.67),
-            reason="how hard we push was chosen to lead about as far: the paper does not say how hard it pushed"),
+            reason="the impulse was chosen to give about this offset: the paper does not state its own"),
     _flight("D3", "Pushes: settling time of a, b", 2.0, "s", 2, quantities.settling, about, ABOUT, Kind.FITTED,
             bags=_PUSH, remark=evidence.band, reason=_WEIGHTS),
     _flight("D4", "Pushes: larger errors in y than in x", None, "1", 2, quantities.pushed_axes, larger, ABOUT,
@@ -237,7 +237,7 @@ CLAIMS = (
             ACCURACY, bags=_STARTS, remark=evidence.identity,
             reason="noise covariances are not printed, and they decide"),
     _flight("G4.late", "Little to no convergence after 14 s", None, "1", 2, quantities.late_share, up_to, LITTLE,
-            bags=_STARTS, remark=f"Share of the initial error that goes after {LATE:g} s. Little: up to {LITTLE:g}",
+            bags=_STARTS, remark=f"Share of the initial error that vanishes after {LATE:g} s. Little: up to {LITTLE:g}",
             reason=_SCHEDULE),
     Claim("G4.search", "The GA explores too little", None, "m", 4, evidence.search, yes, bags=_STARTS, studies=_SEEDS,
           reason=_SEARCH),

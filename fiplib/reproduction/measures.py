@@ -155,7 +155,7 @@ class Convergence(NamedTuple):
 
 
 def convergence(flight: Flight) -> Convergence:
-    """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
+    """Return the median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
     parameters, and when the used length entered ``CONVERGED`` around that median and stayed there."""
     time, used = used_length(flight)
     late = time > flight.duration - FINAL_SECONDS

@@ -44,7 +44,7 @@ class Sources:
 
     @property
     def command(self) -> str:
-        """The shell command that computes it from the beginning: flights, studies and measurements first."""
+        """Return the shell command that computes it from the beginning: flights, studies and measurements first."""
         steps = ["make bags"] if self.bags else []
         steps += [f"make sweep STUDIES='{' '.join(self.studies)}'"] if self.studies else []
         steps += [BENCHMARKS[table] for table in self.benchmarks]

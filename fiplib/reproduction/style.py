@@ -1,4 +1,4 @@
-"""How every figure looks: one column, 8 pt, colours that colour-blind readers tell apart, the origin of the data."""
+"""The style of every figure: one column, 8 pt, colours for colour-blind readers, the origin of the data."""
 
 from contextlib import AbstractContextManager
 from pathlib import Path

@@ -253,7 +253,7 @@ def fig9_estimators(rows: Rows) -> Figure:
     Rows that share an axis have the same data and the same bound. Above: all poses in windows of 2.5 s, with
     calibration and inertia unknown to the estimator as to the bound; dashed: the target of 1.2. Below: 55 derived
     states in steps of 0.1 s, against the bound of all poses of that time with everything else known. Derived states
-    cost a factor of fifty whatever searches them; the estimates from raw poses are at the bound, a little below where
+    cost a factor of fifty with any search; the estimates from raw poses are at the bound, a little below where
     they are given tolerances that it takes as unknown.
     """
     figure = Figure(figsize=(COLUMN, 3.4), layout="constrained")

@@ -304,7 +304,7 @@ def _band(axes: Axes, times: Sequence[float], values: NDArray, factor: float, na
 
 
 def table20_excitation(rows: Rows) -> Table:
-    """Table 20: excitation by design: when the length is known, what is known later, and what the trajectory takes.
+    """Table 20: excitation by design: time to a stated deviation, deviation later, and lean of the trajectory.
 
     20 simulated flights each of 12 s from rest, a uniform rod of 1 m on the 8 cm seat. A deviation is reached with the
     first estimate that states it: mean with its 95 % interval (bootstrap over seeds), or, where not all flights reach

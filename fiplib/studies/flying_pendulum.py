@@ -135,7 +135,7 @@ def _cell(value: tuple[float, float]) -> str:
 
 
 def table19_flying_pendulum(rows: Rows) -> Table:
-    """Table 19: the experiment of 2011 beside ours: what it reports, what is fitted, what is tested.
+    """Table 19: the experiment of 2011 beside ours: reported, fitted and tested numbers.
 
     20 simulated flights of 15 s in each cell, with its rod (centre of mass 0.565 m above the seat), 50 commands a
     second and a latency of 30 ms; the turn of the tracked frame is fitted to the static offset, the errors on the

@@ -76,7 +76,7 @@ RISE = 0.01
 
 
 def cases() -> list[dict[str, Any]]:
-    """The default setting, then each factor on its own, each in every interpretation."""
+    """Return the default setting, then each factor on its own, each in every interpretation."""
     settings = [{"factor": "none", **DEFAULT}]
     settings += [{"factor": factor, **DEFAULT, factor: value} for factor, values in VARIED.items() for value in values]
     return [{**setting, "reading": reading} for setting in settings for reading in READINGS]
@@ -99,7 +99,7 @@ def run(case: dict[str, Any]) -> dict[str, float | int]:
 
 
 def params_of(case: dict[str, Any]) -> Params:
-    """The parameters of a case: of the flight its rod, of the estimator the rest.
+    """Return the parameters of a case: of the flight its rod, of the estimator the rest.
 
     Q_e is the variance that a sampling period adds: it is taken in proportion to the period.
     """
@@ -120,7 +120,7 @@ def params_of(case: dict[str, Any]) -> Params:
 
 
 def windows_of(excitation: str, params: Params) -> list[Window]:
-    """The windows of ``SEEDS`` flights that end nearest to ``ENDS``, as the estimator would be given them."""
+    """Return the windows of ``SEEDS`` flights that end nearest to ``ENDS``, as the estimator would be given them."""
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:

@@ -156,7 +156,7 @@ class Swaying(Plant):
 
 
 def cases() -> list[dict]:
-    """The default and the variants of the flight, in their scenarios, over their seeds."""
+    """Return the default and the variants of the flight, in their scenarios, over their seeds."""
     return _cases(of_estimator=False)
 
 
@@ -171,14 +171,14 @@ def _cases(of_estimator: bool) -> list[dict]:
 
 
 def scenario_of(case: dict) -> Scenario:
-    """The flight of a case."""
+    """Return the flight of a case."""
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     params = scenario.params.replace(**variant.changes)
     return dataclasses.replace(scenario, params=params, seed=case["seed"], **variant.flown)
 
 
 def run(case: dict) -> dict[str, float | int | str]:
-    """The numbers of one flight.
+    """Return the numbers of one flight.
 
     Returns:
         survived (0 or 1) and flown (s); for each of ``COLUMNS`` what the function of that name in ``quantities`` or

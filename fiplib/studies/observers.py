@@ -99,7 +99,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def _quiet(flight: Flight | None) -> dict[str, float]:
-    """The columns of hover and circle; nan of another flight."""
+    """Return the columns of hover and circle; nan of another flight."""
     if flight is None:
         names = *LINEAR, "rate", "error", "bound", *(f"{name}{kind}" for kind in KNOWN for name in ESTIMATED)
         return dict.fromkeys(names, math.nan)

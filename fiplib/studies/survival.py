@@ -1,4 +1,4 @@
-"""Where does the MPC survive a wrong length? Linear stability and simulated survival, side by side.
+"""The wrong lengths with which the rod stays up: linear stability and simulated survival, side by side.
 
 A case is a length that the MPC uses, the rod's true length and its inertia. A row has what linear theory says of the
 loop (``margins``: delay and lag included, bounds and noise not) and the outcome of flights on the 0.4 m circle. The
@@ -75,7 +75,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def fig7_survival(rows: Rows) -> Figure:
-    """Fig. 7: where the MPC survives a wrong length: linear theory, and simulated flights of 12 s on the 0.4 m circle.
+    """Fig. 7: survival with a wrong length: linear theory, and simulated flights of 12 s on the 0.4 m circle.
 
     From above: growth rate of the linear loop (blue: stable), its delay margin (none where it is unstable), and the
     shorter of 2 simulated flights, seeds 1 and 2, at each of 333 pairs of lengths; two flights give no

@@ -121,7 +121,7 @@ def _workers(client: "Client", name: str) -> dict[str, int]:
 
 
 def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
-    """The next finished (future, result); an error when no worker has been left for a while."""
+    """Return the next finished (future, result); an error when no worker has been left for a while."""
     alive = time.monotonic()
     while not completed.has_ready():
         time.sleep(0.02)

@@ -84,7 +84,7 @@ def cases() -> list[dict]:
 
 
 def run(case: dict) -> dict[str, float | int | str]:
-    """The score of one candidate.
+    """Return the score of one candidate.
 
     Its weights; growth_rate (1/s), delay_margin (s) and disk_margin, each the worst over ``STARTS`` and ``RODS``;
     linear; starts (of 3 flights, those that stay up) and start_lean (|a| or |b| at most, m); for each row of the
@@ -146,7 +146,7 @@ def _starts(params: Params) -> dict[str, float]:
 
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
-    """The rows of the ledger that are read from this flight; none holds if it falls."""
+    """Return the rows of the ledger that are read from this flight; none holds if it falls."""
     [flight] = fly_many([scenario])
     row = {}
     for id in (*NEEDED, *ALSO):

@@ -115,7 +115,7 @@ def check_resolution(vehicle: Body, rod: Body) -> None:
 
 
 def _angle(axis: NDArray) -> NDArray:
-    """The angle (n,) between vectors (n, 3) and the vertical, rad."""
+    """Return the angle (n,) between vectors (n, 3) and the vertical, rad."""
     return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), axis[:, 2])
 
 

@@ -173,7 +173,7 @@ class Problem:
 
     @property
     def inertia(self) -> Told:
-        """The prior of the inertia factor: as stated, else vague where the tracked point replaces it."""
+        """Return the prior of the inertia factor: as stated, else vague where the tracked point replaces it."""
         return self.knowledge.inertia_factor or (ANY_INERTIA if self.tracked else UNIFORM)
 
     @property

@@ -1,4 +1,4 @@
-"""The pose estimator's words for a command line: what may be stated, and its answer in words and as plain values."""
+"""The pose estimator on a command line: options that state prior knowledge, and its answer in words or as values."""
 
 import argparse
 import json

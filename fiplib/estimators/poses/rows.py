@@ -154,7 +154,7 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
 
 
 def _near(time: NDArray, events: NDArray) -> NDArray:
-    """Which events have a sample within 0.05 s, or two and a half periods, before and after, or lie on one."""
+    """Return which events have a sample within 0.05 s, or two and a half periods, before and after, or lie on one."""
     gap = max(HALF, 2.5 * float(np.median(np.diff(time))))
     after = np.minimum(np.searchsorted(time, events), len(time) - 1)
     before = np.maximum(np.searchsorted(time, events, side="right") - 1, 0)

@@ -98,12 +98,12 @@ def microseconds(channels: Sequence[int]) -> list[int]:
 
 
 def radio(channels: Sequence[int]) -> bytes:
-    """The packet that carries 16 channels of 11 bits, as us."""
+    """Return the packet that carries 16 channels of 11 bits, as us."""
     return RC.pack(0.0, *microseconds(channels))
 
 
 def motors(packet: bytes) -> NDArray:
-    """The commands of motors 1 to 4. Raises ValueError for a packet of another size."""
+    """Return the commands of motors 1 to 4. Raises ValueError for a packet of another size."""
     if len(packet) != PWM.size:
         raise ValueError(f"a packet of motor commands has {PWM.size} bytes, not {len(packet)}")
     second, third, fourth, first = PWM.unpack(packet)
@@ -261,7 +261,7 @@ def respond(command: NDArray, period: float, delay: float, lag: float) -> NDArra
 
 
 def fit(command: NDArray, measured: NDArray, period: float) -> Response:
-    """The delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
+    """Return the delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
 
     Both are of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k; period in s.
     """

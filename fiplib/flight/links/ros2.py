@@ -494,7 +494,7 @@ than the level-and-disarm frames last. Empty in the sender's process."""
 
 
 def command_sink(kind: str, topic: str) -> Ros2Sink:
-    """The spare sink of this process, or else a new one."""
+    """Return the spare sink of this process, or else a new one."""
     return SPARE.pop((kind, topic), None) or Ros2Sink(kind, topic)
 
 
