@@ -79,7 +79,7 @@ bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone:
 # kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
 sweep: export OPENBLAS_CORETYPE := Haswell
 sweep: export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
-sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
+sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; it can be stopped and resumed
 	$(PY) -m fiplib sweep $(STUDIES)
 
 bench: .venv-bench/installed ## time everything beside its alternatives, each topic in a process: benchmarks/results.csv
@@ -112,6 +112,7 @@ clean: #+ remove what was made; data/, .venv and the page figures/README.md stay
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
 
 LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}}
+LAB_HOOK := {"FileContentsManager": {"post_save_hook": "fiplib.teaching.saved.after_save"}}
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
 # last, so an interrupted step starts afresh.
@@ -127,13 +128,16 @@ LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "f
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@mkdir -p .venv/share/jupyter/lab/settings
 	@echo '$(LAB_SETTINGS)' > .venv/share/jupyter/lab/settings/overrides.json
+	@mkdir -p .venv/etc/jupyter/jupyter_server_config.d
+	@echo '$(LAB_HOOK)' > .venv/etc/jupyter/jupyter_server_config.d/fip.json
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
 	@$(MAKE) --no-print-directory notebook-filter
 	@touch $@
 
-# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), at
-# the top of a work tree of our own only. A clone without .venv, or without this step, works on unstripped files.
+# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), and
+# JupyterLab asks it to read after each save (LAB_HOOK). Only at the top of a work tree of our own. A clone without .venv,
+# or without this step, works on unstripped files.
 STRIP := --keep-id --extra-keys '$(foreach key,version codemirror_mode file_extension mimetype nbconvert_exporter \
     pygments_lexer,metadata.language_info.$(key))'
 .PHONY: notebook-filter

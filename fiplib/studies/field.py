@@ -289,6 +289,13 @@ def facts(rows: Rows) -> Facts:
             found[*words, flight, column] = number(value, decimals)
             found[*words, flight, column, "low"] = number(low, decimals)
             found[*words, flight, column, "high"] = number(high, decimals)
+        for flight in FLIGHTS:
+            kept, flown, low, high = share(rows, controller, flight)
+            found |= {(*words, flight, "up"): f"{kept}", (*words, flight, "flown"): f"{flown}"}
+            found |= {
+                (*words, flight, "up", "low"): f"{100 * low:.0f}",
+                (*words, flight, "up", "high"): f"{100 * high:.0f}",
+            }
         up = surviving(rows, controller)
         found[*words, "shortest"], found[*words, "longest"] = (f"{up[0]:g}", f"{up[-1]:g}") if up else (NONE, NONE)
     return found
