@@ -181,7 +181,14 @@ class Pilot:
 
 
 def least_period(piloting: Piloting) -> int:
-    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick."""
+    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick.
+
+    Raises ValueError: ticks, which come with frames, cannot have the rate that observers and estimators count on.
+    """
+    frames = piloting.mocap_rate / piloting.control_rate
+    if not math.isclose(frames, max(1, round(frames)), rel_tol=0.01):
+        rates = f"{piloting.mocap_rate:g} and {piloting.control_rate:g} Hz"
+        raise ValueError(f"piloting.mocap_rate must be a whole multiple of piloting.control_rate, not {rates}")
     return round(NANO / piloting.control_rate) - round(NANO / piloting.mocap_rate / 2)
 
 

@@ -27,8 +27,8 @@ from fiplib.pilot import Pilot, estimator_of
 from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
 from fiplib.references import Circle, Hover, Reference
 
-GROUND = 0.05
-"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
+GROUND = 0.1
+"""Height of the seat below which the simulated vehicle is on the ground, m: ``Plant.fallen``, and it rests there."""
 
 NOISE_FRAMES = 240
 """Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame in real time."""
@@ -209,7 +209,7 @@ class SimulatedVehicle:
     @property
     def landed(self) -> bool:
         """Return whether the vehicle has come to rest on the ground."""
-        return self.plant.x[2] < GROUND + self._params.vehicle.seat_height
+        return self.plant.x[2] < GROUND
 
     def command(self, command: Any, at: int | None = None) -> None:
         """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""

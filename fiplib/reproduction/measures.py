@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import betaincinv
+from scipy.special import bdtr, betaincinv
 
 from fiplib.params import A, B, X, Y
 from fiplib.recording import TOPICS, BagError, Flight
@@ -201,6 +201,21 @@ def bootstrap_interval(
     chosen = np.random.default_rng(0).integers(len(values), size=(draws, len(values)))
     low, high = np.quantile([statistic(values[one]) for one in chosen], (0.025, 0.975))
     return float(low), float(high)
+
+
+def quantile_interval(values: ArrayLike, share: float = 0.5) -> tuple[float, float]:
+    """Return the exact 95 % interval of a quantile of independent values (n,): two of them, never too narrow.
+
+    An end is nan where too few values leave it unbounded: of the median, fewer than six.
+    """
+    ordered = np.sort(np.asarray(values, dtype=float))
+    # the number of values below the quantile is binomial
+    below = bdtr(np.arange(len(ordered)), len(ordered), share)
+    low, high = int(np.sum(below <= 0.025)) - 1, int(np.sum(below < 0.975))
+    return (
+        float(ordered[low]) if low >= 0 else math.nan,
+        float(ordered[high]) if high < len(ordered) else math.nan,
+    )
 
 
 def rms(values: ArrayLike) -> float:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fiplib.params import A, B, Params
 from fiplib.references import Circle
@@ -29,6 +30,7 @@ from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.batch import fly_many
+from fiplib.studies.estimators import ranged
 
 KEYS = ("policy", "index")
 
@@ -49,6 +51,9 @@ POLICIES: dict[str, dict] = {
 
 SECONDS = 12.0
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
+
+FEW = 6
+"""Below so many flights no interval of a time is given."""
 
 SETTLED = 0.05
 """The used length counts as brought in when it is within this share of the true one, and stays there."""
@@ -168,6 +173,11 @@ def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
     return told, flown, [row for row in flown if row["survived"] == 1]
 
 
+def _times(up: Rows) -> NDArray:
+    """Times in s after which the used length is right, of those flights in which it comes to be so."""
+    return np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
+
+
 class HandedOver(NamedTuple):
     """A policy over all flights with one kind of rod: how many; how many stay up; the share ``kept`` of those that stay
     up with the true length, with its 95 % interval; of those up, the share whose used length is ``right`` at the end,
@@ -189,7 +199,7 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
     told, flown, up = _flown([row for row in rows if kind_of(row) == rods], policy)
     asked = [row for row in flown if row["index"] in told]
     kept = sum(row["survived"] == 1 for row in asked)
-    times = np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
+    times = _times(up)
     mean, late = (float(times.mean()), float(np.quantile(times, 0.95))) if len(times) else (math.nan, math.nan)
     return HandedOver(
         len(flown),
@@ -203,12 +213,24 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
     )
 
 
+def _after(found: HandedOver, times: NDArray) -> tuple[str, str]:
+    """Cells with the mean and the 95 % quantile of times in s, and their intervals where there are enough."""
+    if not len(times):
+        return NONE, NONE
+    if len(times) < FEW:
+        return f"{found.mean_time:.2f}", f"{found.late_time:.2f}"
+    mean = measures.bootstrap_interval(times, lambda some: float(some.mean()))
+    low, high = (f"{end:.2f}" if math.isfinite(end) else NONE for end in measures.quantile_interval(times, 0.95))
+    return ranged(found.mean_time, *mean, 2), f"{found.late_time:.2f} ({low} to {high})"
+
+
 def table8_handover(rows: Rows) -> Table:
     """Table 8: random rods and first lengths under five ways to the length in use: survival, time until it is right.
 
     200 simulated flights of 12 s on the 0.4 m circle (8 s), of the printed fitness 40, uniform rods, the same noise for
-    all ways; in brackets: binomial 95 % intervals in per cent. Right: within 5 % of the true length from the time given
-    on.
+    all ways. In brackets: 95 % intervals, of shares binomial, of mean times by a bootstrap over flights, of the 95 %
+    quantile exact from its order statistics; a dash: too few flights to limit it from above. Right: within 5 % of the
+    true length from the time given on.
     """
     lines = []
     for policy, label in LABELS.items():
@@ -218,11 +240,11 @@ def table8_handover(rows: Rows) -> Table:
                 continue
             late = (NONE,) * 3
             if policy != "told" and found.up:
-                times = found.mean_time, found.late_time
+                times = _times(_flown([row for row in rows if kind_of(row) == rods], policy)[2])
                 low, high = (100 * side for side in measures.binomial_interval(round(found.right * found.up), found.up))
                 late = (
                     f"{100 * found.right:.0f} ({low:.0f} to {high:.0f})",
-                    *(f"{one:.2f}" if math.isfinite(one) else NONE for one in times),
+                    *_after(found, times),
                 )
             kept = f"{100 * found.kept:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
             lines.append((

@@ -43,6 +43,18 @@ def test_a_policy_is_held_against_the_flights_that_telling_the_length_keeps_up()
     assert handover.facts(handover_rows())["short", "outside", "flights"] == "4"
 
 
+def test_times_of_the_hand_over_have_an_interval_from_six_flights_on():
+    def late(count: int) -> tuple[str, ...]:
+        told = [{"policy": "told", "index": index, "survived": 1.0, "settled": 0.0} for index in range(count)]
+        flown = [row | {"policy": "trusted", "settled": 1.0 + row["index"] % 2} for row in told]
+        return handover.table8_handover([row | {"longest_used": 1.0} for row in told + flown]).rows[1][6:8]
+
+    assert late(5) == ("1.40", "2.00")
+    assert late(6) == ("1.50 (1.17 to 1.83)", "2.00 (2.00 to --)")
+    # 0.95^72 is the first power below 2.5 %: from here on the largest of all times bounds the quantile
+    assert late(71)[1].endswith("to --)") and late(72)[1].endswith("to 2.00)")
+
+
 def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_told_one():
     table = handover.table8_handover(handover_rows())
     assert list(dict.fromkeys(row[0] for row in table.rows)) == list(handover.LABELS.values())
@@ -168,7 +180,15 @@ def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share(
     lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
     assert len(lines) == len(poses.CONDITIONS)
     # of two flights the bootstrap draws either twice in half of all draws
-    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0 (6.0 to 6.0)", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["circle 0.4 m / 8 s"] == (
+        "8",
+        "0",
+        r"$-$1.0 ($-$3.0 to 1.0)",
+        "6.0 (6.0 to 6.0)",
+        "5.0",
+        "88 (75 to 100)",
+        "1.20",
+    )
     assert lines["noise doubled"][-1] == "--"
     assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
     found = poses.facts(rows)
