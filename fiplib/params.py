@@ -121,7 +121,7 @@ class Control:
     state_weights: tuple[float, ...] = quantity(
         (20.0, 5.0, 2.0, 0.5, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
         "1/unit^2",
-        "our choice: Q; heavy on a, b, so that a wrong length flies; y and y' a tenth of x and x', as the paper's own "
+        "our choice: Q; heavy on a, b, to tolerate a wrong length; y and y' a tenth of x and x', as the paper's own "
         "weights of y wanted tuning (section 4.2); found by the study 'weights'",
         zero=True,
     )
