@@ -87,7 +87,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def _median(name: str, values: list[float]) -> dict[str, float]:
-    """The median of the values, nan of none, and its interval, by column."""
+    """Return the median of the values, nan of none, and its interval, by column."""
     low, high = quantile_interval(values)
     return {name: float(np.median(values)) if values else math.nan, f"{name}_low": low, f"{name}_high": high}
 
@@ -165,7 +165,7 @@ def fig17_seat(rows: Rows) -> Figure:
 
 
 def _cell(values: list[float]) -> str:
-    """A cell with a median and its interval, as far as they are known."""
+    """Return a cell with a median and its interval, as far as they are known."""
     if not math.isfinite(values[0]):
         return NONE
     return ranged(*values, 1) if np.isfinite(values).all() else f"{values[0]:.1f}"
