@@ -174,7 +174,7 @@ def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
 
 
 def _times(up: Rows) -> NDArray:
-    """Times in s after which the used length is right, of those flights in which it comes to be so."""
+    """Return the times in s after which the used length is right, of those flights in which it comes to be so."""
     return np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
 
 
@@ -214,7 +214,7 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
 
 
 def _after(found: HandedOver, times: NDArray) -> tuple[str, str]:
-    """Cells with the mean and the 95 % quantile of times in s, and their intervals where there are enough."""
+    """Return cells with the mean and the 95 % quantile of times in s, and their intervals where there are enough."""
     if not len(times):
         return NONE, NONE
     if len(times) < FEW:

@@ -211,6 +211,7 @@ def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
 
 def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
     result = {"flown": 20.0, "seconds": 20.0, "error": 0.05, "largest_lean": 0.02, "rate": 0.5}
+    result |= {f"{name}{end}": result[name] for name in ("error", "largest_lean", "rate") for end in ("_low", "_high")}
     margins = {"growth_rate": -1.0, "gain_high": 2.0}
     rows = [{**case, **result, **margins, "survived": 20.0 if case["stated"] else 0.0} for case in seat.cases()]
     # all of 20: the lower limit p of the exact interval has p^20 = 2.5 %
@@ -218,6 +219,10 @@ def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
     table = seat.table14_seat(rows)
     assert len(table.rows) == len(seat.LENGTHS) * (1 + len(seat.STATED))
     assert table.rows[1][:4] == ("0.4", "8", "0", "0 (0 to 17)") and table.rows[2][3] == "20 (83 to 100)"
+    assert table.rows[2][4] == "5.0 (5.0 to 5.0)"
+    rows[2] |= {"error_low": math.nan, "error_high": math.nan, "rate": math.nan}
+    # of fewer than six flights a median has no interval, of none no value
+    assert seat.table14_seat(rows).rows[2][4:7] == ("5.0", "2.0 (2.0 to 2.0)", "--")
     found = seat.facts(rows)
     assert found["shortest", "known", "up"] == "40" and found["middle", "unknown", "up"] == "0"
     assert seat.fig17_seat(rows).axes
