@@ -234,8 +234,9 @@ class Simulation:
     wind: tuple[float, float] = quantity((0.0, 0.0), "m/s", "steady wind (x, y)", within=(-20, 20), before=(0.0, 0.0))
     gusts: float = quantity(0.0, "m/s", "standard deviation of the gusts per axis", within=(0, 20), before=0.0)
     drag: tuple[float, float] = quantity(
-        (0.26, 8e-3), "N s/m", "of vehicle (Faessler 2018: 0.46/s) and rod (6 mm, 2 m/s) in wind", before=(0.26, 8e-3)
-    )
+        (0.26, 8e-3), "N s/m", "of vehicle (Faessler 2018: 0.46/s) and rod (6 mm, 2 m/s) in wind", within=(0, 10),
+        before=(0.26, 8e-3),
+    )  # fmt: skip
     rotor_loss: float = quantity(0.0, "1", "share that a hindered rotor lacks", within=(0, 1), before=0.0)
     rotor_loss_start: float = quantity(0.0, "s", "time from which on it is hindered", zero=True, before=0.0)
     battery_sag: float = quantity(0.0, "1/s", "share of the thrust lost per second", within=(0, 1), before=0.0)

@@ -94,6 +94,8 @@ class Pilot:
         if tick is None:
             return None
         solution = self.solve(tick)
+        if not np.isfinite(solution.input).all():
+            raise ValueError(f"the controller answered {solution.input}: its body rates must be finite")
         return self.answer(tick, solution.input, solution.status)
 
     def observe(self, now: int, measurement: Measurement) -> Tick | None:

@@ -70,7 +70,13 @@ class OffsetFreeMPC:
             process[3] *= ROD_MODEL
             process = np.append(process, shares * process[[1, 3, 4]])
             measured = np.diag(np.array(estimation.measurement_noise)[states])
-            covariance = solve_discrete_are(transition.T, np.eye(8, 5), np.diag(process) * self._period, measured)
+            try:
+                covariance = solve_discrete_are(transition.T, np.eye(8, 5), np.diag(process) * self._period, measured)
+            except np.linalg.LinAlgError as error:
+                raise ValueError(
+                    "offset_free_mpc has no filter with these estimation.process_noise and measurement_noise: "
+                    "no variance may be zero"
+                ) from error
             gains.append(np.linalg.solve(covariance[:5, :5] + measured, covariance[:5]).T)
         return transition, discrete[:8, 8], np.array(gains)
 
