@@ -179,7 +179,7 @@ class Flight:
     """The first exposure of either body: time zero of the flight."""
     topics: tuple[TopicInfo, ...]
     notes: tuple[str, ...] = ()
-    """What the reader assumed or left out, one sentence each."""
+    """Assumptions and omissions of the reader, one sentence each."""
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""
