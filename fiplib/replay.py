@@ -95,11 +95,15 @@ def assumed_seat(flight: Flight) -> str | None:
 
 def reference(flight: Flight) -> Reference:
     """Return the reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
-    entry = dict(flight.metadata.get("reference", {}))
-    kind = entry.pop("kind", None)
-    if kind not in REFERENCES:
+    recorded = flight.metadata.get("reference", {})
+    entry = dict(recorded) if isinstance(recorded, dict) else {}
+    make = REFERENCES.get(str(entry.pop("kind", None)))
+    if make is None:
         raise BagError(f"{flight.path}: its metadata name no reference of the kinds {', '.join(REFERENCES)}")
-    return REFERENCES[kind](**entry)
+    try:
+        return make(**entry)
+    except (TypeError, ValueError) as error:
+        raise BagError(f"{flight.path}: its metadata describe no reference that can be followed ({error})") from error
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:

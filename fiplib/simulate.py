@@ -52,6 +52,8 @@ class Scenario:
     """One simulated flight, fully determined.
 
     ``told_lengths`` are (time s, length m): from that time on the pilot is given this length instead of an estimate.
+
+    Raises ValueError: duration, seed, pushes or told lengths are impossible, or not in the order of time.
     """
 
     name: str
@@ -62,6 +64,24 @@ class Scenario:
     told_lengths: tuple[tuple[float, float], ...] = ()
     params: Params = field(default_factory=Params)
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        told, ends = [time for time, _ in self.told_lengths], [push.start + push.duration for push in self.pushes]
+        possible = {
+            "a finite duration above 0 s": 0.0 < self.duration < math.inf,
+            "a whole seed, 0 or more": isinstance(self.seed, int | np.integer) and self.seed >= 0,
+            "pushes of finite impulses that last longer than 0 s": all(
+                math.isfinite(sum(push.impulse)) and 0.0 < push.duration < math.inf for push in self.pushes
+            ),
+            "pushes from 0 s on, each after the end of the one before": all(
+                start >= end - 1e-9
+                for start, end in zip([push.start for push in self.pushes], [0.0, *ends], strict=False)
+            ),
+            "told lengths in the order of time": all(map(math.isfinite, told)) and told == sorted(told),
+        }
+        for needed, given in possible.items():
+            if not given:
+                raise ValueError(f"scenario {self.name!r} needs {needed}")
 
     def metadata(self) -> dict[str, Any]:
         """Return what a bag of this flight carries about its origin."""

@@ -46,7 +46,8 @@ class Hover(Reference):
 class Circle(Reference):
     """A circle about the origin that starts at rest in (radius, 0) at time ``start`` and comes smoothly to speed.
 
-    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s.
+    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s. Raises ValueError: period or ramp are not
+    above 0.
     """
 
     radius: float
@@ -54,6 +55,9 @@ class Circle(Reference):
     height: float = 1.3
     start: float = 1.0
     ramp: float = 4.0
+
+    def __post_init__(self) -> None:
+        _above_zero("a circle", period=self.period, ramp=self.ramp)
 
     def at(self, times: NDArray) -> NDArray:
         from fiplib.kernels import piloting
@@ -85,9 +89,10 @@ class Multisine(Reference):
 
     def __post_init__(self) -> None:
         for axis in ("x", "y"):  # a bag has lists
-            object.__setattr__(self, axis, tuple(getattr(self, axis)))
+            object.__setattr__(self, axis, tuple(np.atleast_1d(getattr(self, axis)).tolist()))
         if len(self.x) != len(self.y) or len(self.x) % 2:
             raise ValueError(f"a multisine needs as many pairs (cos, sin) along y as along x, not {self.x}, {self.y}")
+        _above_zero("a multisine", frequency=self.frequency, ramp=self.ramp, fade=self.fade)
 
     def at(self, times: NDArray) -> NDArray:
         from fiplib.kernels import piloting
@@ -101,6 +106,12 @@ class Multisine(Reference):
     def informed(self, time: float, deviation: float) -> Self:
         known = self.known is None and 0.0 < deviation <= self.wanted
         return replace(self, known=time) if known else self
+
+
+def _above_zero(what: str, **numbers: float) -> None:
+    for name, number in numbers.items():
+        if not 0.0 < number < np.inf:
+            raise ValueError(f"{name} of {what} must be a number above 0, not {number!r}")
 
 
 REFERENCES = {"Hover": Hover, "Circle": Circle, "Multisine": Multisine}
