@@ -27,7 +27,7 @@ from fiplib.references import Reference
 
 
 class Command(NamedTuple):
-    """What is sent to the vehicle, and what it was based on.
+    """A command to the vehicle, with the state and the reference that it was computed from.
 
     ``body_rate`` (3,) rad/s, ``thrust`` normalised to [0, 1], ``state`` and ``reference`` (10,), ``length`` used in m.
     """
@@ -42,7 +42,7 @@ class Command(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """What a controller knows at a control tick.
+    """The inputs of a controller at one control tick.
 
     ``now`` in ns, ``elapsed`` in s since the last tick, ``state`` (10,), ``reference`` (N+1, 10) at the nodes of the
     horizon, ``height`` in m, ``climb_rate`` in m/s, ``yaw`` in rad.
@@ -145,7 +145,7 @@ class Pilot:
 
     @property
     def window_seconds(self) -> float:
-        """How long the estimator's window is, s."""
+        """Return how long the estimator's window is, s."""
         return self._sampler.seconds
 
     def forget_window(self) -> None:
@@ -195,7 +195,7 @@ def least_period(piloting: Piloting) -> int:
 
 
 def estimator_of(params: Params) -> Estimator:
-    """The estimator that a flight uses; ValueError if its name is not known."""
+    """Return the estimator that a flight uses; ValueError if its name is not known."""
     return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
 
 

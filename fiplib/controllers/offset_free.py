@@ -13,7 +13,7 @@ Riccati equation of the length in use. *Target.* The steady state in which the v
 exists and is unique whatever w is. *Regulation.* Deviations from the target obey the model without w, so the paper's
 MPC of x - x_t, with the same weights and ``mpc.MPC``'s exact solver, gives u - u_t. (Bounds are of the deviations.)
 Where the loop settles, the estimates are those that explain the measurement, and the vehicle's offset is zero, whatever
-the cause: wind, a tilted thrust axis, a rod that is bent. That asks for as many disturbances as tracked outputs; two
+the cause: wind, a tilted thrust axis, a rod that is bent. This needs as many disturbances as tracked outputs; two
 more keep forces on the rod and rate errors out of w_a.
 
 The noises of z are those of the length estimator (``params.estimation``), and the rod's equation is taken to be
@@ -38,7 +38,7 @@ from fiplib.mpc import CACHED_LENGTHS, MPC, Solution
 from fiplib.params import AXES, GRAVITY, Params
 
 ROD_MODEL = 30.0
-"""Variance of what the rod's equation leaves out over ``estimation.process_noise``: 0.018 m^2/s^3, an error of
+"""Variance of the error of the rod's equation over ``estimation.process_noise``: 0.018 m^2/s^3, an error of
 0.3 m/s^2 that changes within 0.2 s, as an inertia factor of 3/4 for 1 makes at a tilt of 7 degrees."""
 
 NOISE_PERIOD = 0.1

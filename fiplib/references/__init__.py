@@ -23,7 +23,7 @@ class Reference(Protocol):
     def informed(self, time: float, deviation: float) -> Self:
         """Return the trajectory to follow once, at ``time`` in s, the length is known to a ``deviation`` in m.
 
-        It must be the same up to ``time``. Most trajectories are not flown to learn the length: they go on.
+        It must be the same up to ``time``. Most trajectories do not serve to identify the length: they go on.
         """
         return self
 
@@ -70,11 +70,12 @@ class Circle(Reference):
 
 @dataclass(frozen=True)
 class Multisine(Reference):
-    """A sum of harmonics about the origin that starts there at rest, for the rod's motion to tell its length.
+    """A sum of harmonics about the origin that starts there at rest, which excites the rod to identify its length.
 
     ``frequency`` of the first harmonic in Hz; ``x`` and ``y`` in m are the amplitudes (cos, sin) of the first harmonic,
-    of the second, and so on; they come within ``ramp`` s. If ``wanted`` is positive, they fade to hover within ``fade``
-    s once the length is known to a standard deviation of ``wanted`` m, which was at ``known`` s (``None``: not yet).
+    of the second, and so on; they grow to full size within ``ramp`` s. If ``wanted`` is positive, they fade to hover
+    within ``fade`` s once the length is known to a standard deviation of ``wanted`` m, which was at ``known`` s
+    (``None``: not yet).
     """
 
     frequency: float

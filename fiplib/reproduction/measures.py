@@ -1,4 +1,4 @@
-"""What can be measured on a recorded flight: leans, laps, settling, convergence, changes of the length.
+"""Measures of a recorded flight: leans, laps, settling, convergence, changes of the length.
 
 All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
 never on a simulator's truth: the bag of a real vehicle goes through unchanged. ``quantities`` makes the ledger's
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import betaincinv
+from scipy.special import bdtr, betaincinv
 
 from fiplib.params import A, B, X, Y
 from fiplib.recording import TOPICS, BagError, Flight
@@ -20,7 +20,7 @@ FALL_ANGLE = math.radians(30.0)
 """A rod that leans further has fallen: only to hold it there, the vehicle itself would have to tilt as far."""
 
 FINAL_SECONDS = 5.0
-"""The length a flight comes to is the median over its last seconds: single runs of the estimator scatter."""
+"""The final length of a flight is the median over its last seconds: single runs of the estimator scatter."""
 
 CONVERGED = 0.05
 """Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
@@ -147,7 +147,7 @@ def true_length(flight: Flight) -> float:
 
 
 class Convergence(NamedTuple):
-    """What the used length came to: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
+    """The final used length: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
 
     length: float
     error: float
@@ -155,8 +155,8 @@ class Convergence(NamedTuple):
 
 
 def convergence(flight: Flight) -> Convergence:
-    """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
-    parameters, and when the used length came to within ``CONVERGED`` of that median to stay there."""
+    """Return the median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
+    parameters, and when the used length entered ``CONVERGED`` around that median and stayed there."""
     time, used = used_length(flight)
     late = time > flight.duration - FINAL_SECONDS
     final = float(np.median(used[late] if late.any() else used[-1:]))
@@ -201,6 +201,21 @@ def bootstrap_interval(
     chosen = np.random.default_rng(0).integers(len(values), size=(draws, len(values)))
     low, high = np.quantile([statistic(values[one]) for one in chosen], (0.025, 0.975))
     return float(low), float(high)
+
+
+def quantile_interval(values: ArrayLike, share: float = 0.5) -> tuple[float, float]:
+    """Return the exact 95 % interval of a quantile of independent values (n,): two of them, never too narrow.
+
+    An end is nan where too few values leave it unbounded: of the median, fewer than six.
+    """
+    ordered = np.sort(np.asarray(values, dtype=float))
+    # the number of values below the quantile is binomial
+    below = bdtr(np.arange(len(ordered)), len(ordered), share)
+    low, high = int(np.sum(below <= 0.025)) - 1, int(np.sum(below < 0.975))
+    return (
+        float(ordered[low]) if low >= 0 else math.nan,
+        float(ordered[high]) if high < len(ordered) else math.nan,
+    )
 
 
 def rms(values: ArrayLike) -> float:

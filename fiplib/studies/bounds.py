@@ -49,7 +49,7 @@ def cases() -> list[dict]:
 
 
 def run(case: dict) -> dict[str, float]:
-    """The bounds of one case.
+    """Return the bounds of one case.
 
     Returns:
         ``bound_SECONDS``: the bound in m for a window of so many seconds.
@@ -71,7 +71,7 @@ def run(case: dict) -> dict[str, float]:
 
 
 def _row(rows: Rows, changes: dict[str, str]) -> dict[str, Any]:
-    """The row of the usual case, but for ``changes``."""
+    """Return the row of the usual case, but for ``changes``."""
     usual = {"excitation": "circle 0.4 m / 8 s", "rod": "uniform", "noise": "default", "knowledge": "plant known"}
     [row] = [row for row in rows if (usual | changes).items() <= row.items()]
     return row
@@ -82,8 +82,8 @@ def fig12_bound(rows: Rows) -> Figure:
 
     Uniform rod of 1 m, RMS over 3 windows of one simulated flight each; it is computed from the motion, not from noise.
     Left: by the reference flown, left legend: radius and time of a lap. Right: the 0.4 m circle (8 s) with noise five
-    times as large, or with less known. Grey: 1 cm. A circle under way gives a centimetre within a second, hover takes
-    about three times as long; in short windows nothing costs as much as not to know where the markers sit.
+    times as large, or with more unknowns. Grey: 1 cm. A circle at speed gives a centimetre within a second, hover takes
+    about three times as long; in short windows unknown positions of the markers cost most.
     """
     figure = Figure(figsize=(COLUMN, 3.5), layout="constrained")
     # curves fill the panels: their names have a row of their own

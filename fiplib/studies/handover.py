@@ -1,15 +1,15 @@
-"""Does the loop survive its own estimator? Random rods, random first lengths, and five ways to the used length.
+"""Survival of the loop with its own estimator: random rods and first lengths, and five ways to the used length.
 
 A flight is drawn by its index: l0 uniform in [0.4, 1.6] m, and a uniform rod. The first ``EXPECTED`` rods are as the
 trusted hand-over expects them, uniform in [0.5, 1.5] m; of the next ``OUTSIDE`` every other one is shorter, in
 [0.3, 0.5] m, and the others longer, in [1.5, 2] m. It follows the 0.4 m circle, which starts at once. A row is one
 flight under one policy:
 
-- ``told``: the controller has the true length from the start. What falls here, no estimator could save.
+- ``told``: the controller has the true length from the start. No estimator could save a rod that falls here.
 - ``printed``: the paper's genetic algorithm and hand-over from l0 on, with the likelihood as its fitness (our default);
   ``short``: the same from the first length of ``trusted``, the shortest rod to expect, instead of l0;
   ``literal``, for the first ``LITERAL`` indices only: from l0, with the fitness that the paper prints.
-- ``trusted``: the estimate from poses, and the hand-over that trusts it as far as it is sure.
+- ``trusted``: the estimate from poses, and the hand-over that trusts it in proportion to its precision.
 
 All policies fly the same rod with the same noise. 840 rows, about 5 minutes of two cores.
 """
@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fiplib.params import A, B, Params
 from fiplib.references import Circle
@@ -29,6 +30,7 @@ from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.batch import fly_many
+from fiplib.studies.estimators import ranged
 
 KEYS = ("policy", "index")
 
@@ -49,6 +51,9 @@ POLICIES: dict[str, dict] = {
 
 SECONDS = 12.0
 CIRCLE = Circle(radius=0.4, period=8.0, start=0.0, ramp=2.0)
+
+FEW = 6
+"""Below so many flights no interval of a time is given."""
 
 SETTLED = 0.05
 """The used length counts as brought in when it is within this share of the true one, and stays there."""
@@ -133,7 +138,7 @@ def fig11_handover(rows: Rows) -> Figure:
     200 simulated flights of 12 s on the 0.4 m circle (8 s) for each way, the same rods (uniform) and noise: as printed
     from the drawn first length, as printed from 0.5 m, and the trusted hand-over of the estimate from raw poses. Grey:
     rods to expect, half of all flights. Titles: how many stay up, with the binomial 95 % interval of their share. The
-    short start alone saves the rods to expect; the shorter ones need an estimate within two seconds, which only the
+    short start alone saves the expected rods; the shorter ones need an estimate within two seconds, which only the
     trusted hand-over has.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
@@ -162,10 +167,15 @@ def fig11_handover(rows: Rows) -> Figure:
 
 
 def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
-    """The indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
+    """Return the indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
     told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
     flown = [row for row in rows if row["policy"] == policy]
     return told, flown, [row for row in flown if row["survived"] == 1]
+
+
+def _times(up: Rows) -> NDArray:
+    """Return the times in s after which the used length is right, of those flights in which it comes to be so."""
+    return np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
 
 
 class HandedOver(NamedTuple):
@@ -189,7 +199,7 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
     told, flown, up = _flown([row for row in rows if kind_of(row) == rods], policy)
     asked = [row for row in flown if row["index"] in told]
     kept = sum(row["survived"] == 1 for row in asked)
-    times = np.array([row["settled"] for row in up if math.isfinite(row["settled"])])
+    times = _times(up)
     mean, late = (float(times.mean()), float(np.quantile(times, 0.95))) if len(times) else (math.nan, math.nan)
     return HandedOver(
         len(flown),
@@ -203,12 +213,24 @@ def handed_over(rows: Rows, policy: str, rods: str = "expected") -> HandedOver:
     )
 
 
+def _after(found: HandedOver, times: NDArray) -> tuple[str, str]:
+    """Return cells with the mean and the 95 % quantile of times in s, and their intervals where there are enough."""
+    if not len(times):
+        return NONE, NONE
+    if len(times) < FEW:
+        return f"{found.mean_time:.2f}", f"{found.late_time:.2f}"
+    mean = measures.bootstrap_interval(times, lambda some: float(some.mean()))
+    low, high = (f"{end:.2f}" if math.isfinite(end) else NONE for end in measures.quantile_interval(times, 0.95))
+    return ranged(found.mean_time, *mean, 2), f"{found.late_time:.2f} ({low} to {high})"
+
+
 def table8_handover(rows: Rows) -> Table:
-    """Table 8: random rods and first lengths under five ways to the length in use: who stays up, how soon it is right.
+    """Table 8: random rods and first lengths under five ways to the length in use: survival, time until it is right.
 
     200 simulated flights of 12 s on the 0.4 m circle (8 s), of the printed fitness 40, uniform rods, the same noise for
-    all ways; in brackets: binomial 95 % intervals in per cent. Right: within 5 % of the true length from the time given
-    on.
+    all ways. In brackets: 95 % intervals, of shares binomial, of mean times by a bootstrap over flights, of the 95 %
+    quantile exact from its order statistics; a dash: too few flights to limit it from above. Right: within 5 % of the
+    true length from the time given on.
     """
     lines = []
     for policy, label in LABELS.items():
@@ -218,11 +240,11 @@ def table8_handover(rows: Rows) -> Table:
                 continue
             late = (NONE,) * 3
             if policy != "told" and found.up:
-                times = found.mean_time, found.late_time
+                times = _times(_flown([row for row in rows if kind_of(row) == rods], policy)[2])
                 low, high = (100 * side for side in measures.binomial_interval(round(found.right * found.up), found.up))
                 late = (
                     f"{100 * found.right:.0f} ({low:.0f} to {high:.0f})",
-                    *(f"{one:.2f}" if math.isfinite(one) else NONE for one in times),
+                    *_after(found, times),
                 )
             kept = f"{100 * found.kept:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
             lines.append((

@@ -1,4 +1,4 @@
-"""What the motion of two tracked points tells: distance, effective length and seat height are three parts of one curve.
+"""Identifiability from two tracked points: distance, effective length and seat height are parts of one response.
 
 Linear, per axis, in bounded motion. With e the horizontal part of the vehicle's z axis, rho the distance from the seat
 to the rod's tracked point, L_e the effective length, h the height of the seat above the tracked point of the vehicle
@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import csd, welch
+from scipy.special import chdtri
 
 from fiplib.dynamics import z_axis
 from fiplib.params import GRAVITY, THETA, Params
@@ -59,6 +60,17 @@ def spectrum(flight: Flight) -> tuple[NDArray, NDArray]:
     rate = flight.params.piloting.mocap_rate
     tilt = flight.truth_state.values[flight.time(flight.truth_state) > TAKE_OFF, THETA]
     return welch(tilt, rate, nperseg=round(RESOLUTION * rate), detrend="linear")
+
+
+def spectrum_interval(seconds: float) -> tuple[float, float]:
+    """Return the factors on a ``spectrum`` of so many seconds of random motion that give its 95 % interval.
+
+    Segments overlap by half, and are weighted by a Hann window: two neighbours' spectra correlate by 1/36 (Welch,
+    1967), which leaves a chi-square distribution of so many degrees of freedom.
+    """
+    segments = math.floor(2.0 * seconds / RESOLUTION) - 1
+    freedom = 2.0 * segments / (1.0 + (1.0 - 1.0 / segments) / 18.0)
+    return freedom / float(chdtri(freedom, 0.025)), freedom / float(chdtri(freedom, 0.975))
 
 
 def measured_response(flight: Flight) -> tuple[NDArray, NDArray]:
@@ -107,13 +119,14 @@ def deviations(flight: Flight, seconds: float, below: NDArray) -> NDArray:
 
 
 def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
-    """Fig. 15: what the motion of two tracked points tells about a rod, by frequency; uniform rod of 1 m, seat at 8 cm.
+    """Fig. 15: identifiability of a rod from two tracked points, by frequency; uniform rod of 1 m, seat at 8 cm.
 
     Top: difference of the two points over the horizontal part e of the vehicle's body axis, for four rods; rho is the
     distance from the seat to the rod's tracked point, Le the effective length, h the seat's height. Middle: tilt in two
-    recorded flights (simulated), averaged over segments of 8 s, and the noise of its measurement (grey). Bottom:
-    standard deviations that 2.5 s of motion up to a frequency allow (dotted: hover). Below half a hertz only the sum
-    rho + h is known; what tells the three apart is motion above the bend of the curves.
+    recorded flights (simulated), averaged over segments of 8 s, with the 95 % intervals of a spectrum of random motion
+    (chi-square), and the noise of its measurement (grey). Bottom: standard deviations that 2.5 s of motion up to a
+    frequency allow (dotted: hover). Below half a hertz only the sum rho + h is known; motion above
+    the bend of the curves separates the three.
     """
     for flight in (hover, circle):
         measures.need(flight, "truth_state")
@@ -133,7 +146,10 @@ def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
     curve.legend(loc="upper right")
     for flight, colour in ((circle, BLUE), (hover, ORANGE)):
         frequency, power = spectrum(flight)
-        motion.loglog(frequency[1:], 1e3 * np.sqrt(power[1:]), color=colour, label=flight.path.name)
+        amplitude = 1e3 * np.sqrt(power[1:])
+        motion.loglog(frequency[1:], amplitude, color=colour, label=flight.path.name)
+        low, high = np.sqrt(spectrum_interval(flight.duration - TAKE_OFF))
+        motion.fill_between(frequency[1:], low * amplitude, high * amplitude, color=colour, alpha=0.25, lw=0)
     noise = circle.params.simulation.attitude_noise * math.sqrt(2.0 / circle.params.piloting.mocap_rate)
     motion.axhline(1e3 * noise, color=GREY, lw=0.6)
     motion.set(ylabel="tilt (mrad/$\\sqrt{\\mathrm{Hz}}$)", ylim=(0.05, 100))

@@ -1,4 +1,4 @@
-"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
+"""The pilot's knowledge of its seat: rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
 
 A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
 which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
@@ -16,13 +16,14 @@ from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
 from fiplib.recording import Flight
 from fiplib.references import Circle, Hover
-from fiplib.reproduction.measures import binomial_interval, rms
+from fiplib.reproduction.measures import binomial_interval, quantile_interval, rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREEN, GREY, ORANGE, PURPLE, origin
 from fiplib.reproduction.tables import NONE, Facts, Table
 from fiplib.simulate import Push, Scenario
 from fiplib.studies import seconds_flown
 from fiplib.studies.batch import fly_many
+from fiplib.studies.estimators import ranged
 
 KEYS = ("motion", "length", "seat", "stated")
 """``motion`` is a name in ``MOTIONS``; all others are in m."""
@@ -30,7 +31,7 @@ KEYS = ("motion", "length", "seat", "stated")
 LENGTHS = (0.4, 0.7, 1.0, 1.5)
 SEAT = 0.08
 STATED = (0.0, 0.04, 0.06, 0.08, 0.10, 0.12)
-"""What the pilot takes for the seat's height, m; 0: it does not know of a seat."""
+"""The seat height that the pilot assumes, m; 0: it assumes no raised seat."""
 
 SEEDS = range(20)
 
@@ -59,7 +60,8 @@ def run(case: dict) -> dict[str, float | int | str]:
         flown, how many flights, and survived, how many of them stay up; seconds, the median time to the fall or the
         end; of those up, from ``SETTLED`` on: error, rms distance of the seat from its reference, largest_lean, |a| or
         |b| at most, both the median over the flights in m, and rate, rms body rate commanded, rad/s (nan if none is
-        up); growth_rate in 1/s and gain_high of the linear loop.
+        up), each with its exact 95 % interval, error_low, error_high and so on (nan of fewer than six flights);
+        growth_rate in 1/s and gain_high of the linear loop.
     """
     params = Params().replace(
         pendulum__length=case["length"],
@@ -76,20 +78,22 @@ def run(case: dict) -> dict[str, float | int | str]:
         "flown": len(flights),
         "survived": len(up),
         "seconds": float(np.median([seconds_flown(*pair) for pair in zip(flights, scenarios, strict=True)])),
-        "error": _median([_error(flight, motion) for flight in up]),
-        "largest_lean": _median([float(np.abs(flight.truth_state.values[:, [A, B]]).max()) for flight in up]),
-        "rate": _median([rms(flight.command.values[:, :2]) for flight in up]),
+        **_median("error", [_error(flight, motion) for flight in up]),
+        **_median("largest_lean", [float(np.abs(flight.truth_state.values[:, [A, B]]).max()) for flight in up]),
+        **_median("rate", [rms(flight.command.values[:, :2]) for flight in up]),
         "growth_rate": loop.growth_rate,
         "gain_high": loop.margins.gain_high,
     }
 
 
-def _median(values: list[float]) -> float:
-    return float(np.median(values)) if values else math.nan
+def _median(name: str, values: list[float]) -> dict[str, float]:
+    """Return the median of the values, nan of none, and its interval, by column."""
+    low, high = quantile_interval(values)
+    return {name: float(np.median(values)) if values else math.nan, f"{name}_low": low, f"{name}_high": high}
 
 
 def _error(flight: Flight, motion: Scenario) -> float:
-    """The rms distance, in m, of the true seat from its reference once the flight has settled."""
+    """Return the rms distance, in m, of the true seat from its reference once the flight has settled."""
     times = flight.time(flight.truth_state)
     settled = times >= SETTLED
     away = flight.truth_state.values[settled][:, [X, Y]] - motion.reference.at(times[settled])[:, [X, Y]]
@@ -103,6 +107,9 @@ def survival(row: dict) -> tuple[float, float, float]:
     return found.statistic, interval.low, interval.high
 
 
+ENDS = ("", "_low", "_high")
+"""What is added to a column's name for the median and for the ends of its interval."""
+
 COLOURS = dict(zip(LENGTHS, (ORANGE, PURPLE, BLUE, GREEN), strict=True))
 PLACE = -3.0
 """Where a figure puts the seat at the frame, beside the stated heights in cm."""
@@ -113,9 +120,10 @@ def fig17_seat(rows: Rows) -> Figure:
 
     20 simulated flights of 20 s at each point, in hover with three pushes and on the 0.4 m circle (8 s), uniform rods
     whose length is known; dotted: the true height; none (open squares): the seat at the frame. From above: share that
-    stays up with exact 95 % intervals; of those that stay up the median RMS distance from the reference and the median
-    RMS rate command. Short rods fall when the seat is unknown, and a height that is too large does more harm than one
-    that is too small.
+    stays up; of those that stay up the median RMS distance from the reference and the median RMS rate command. Bars:
+    exact 95 % intervals, of a median where at least six flights stay up; most of the latter are shorter than their
+    markers. Short rods fall when the seat is unknown, and a height that is too large does more harm than one that is
+    too small.
     """
     figure = Figure(figsize=(COLUMN, 4.2), layout="constrained")
     panels = figure.subplots(3, 2, sharex=True, sharey="row")
@@ -134,8 +142,9 @@ def fig17_seat(rows: Rows) -> Figure:
                 column[0].errorbar(
                     x, share, (share - low, high - share), fmt=style, elinewidth=0.5, label=label, **look
                 )
-                column[1].plot(x, [100 * row["error"] for row in at], style, **look)
-                column[2].plot(x, [np.degrees(row["rate"]) for row in at], style, **look)
+                for axes, name, factor in ((column[1], "error", 100.0), (column[2], "rate", math.degrees(1.0))):
+                    middle, low, high = factor * np.array([[row[name + end] for row in at] for end in ENDS])
+                    axes.errorbar(x, middle, (middle - low, high - middle), fmt=style, elinewidth=0.5, **look)
         for axes in column:
             axes.axvline(100 * SEAT, color=GREY, lw=0.5, ls=":")
         column[2].set(
@@ -155,12 +164,20 @@ def fig17_seat(rows: Rows) -> Figure:
     return figure
 
 
+def _cell(values: list[float]) -> str:
+    """Return a cell with a median and its interval, as far as they are known."""
+    if not math.isfinite(values[0]):
+        return NONE
+    return ranged(*values, 1) if np.isfinite(values).all() else f"{values[0]:.1f}"
+
+
 def table14_seat(rows: Rows) -> Table:
-    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands.
+    """Table 14: the pilot's seat height: survival, the error, the largest lean and the rate commands.
 
     20 simulated flights of 20 s in each cell, in hover with three pushes and on the 0.4 m circle (8 s); behind the
     number that stays up its exact 95 % interval in per cent. RMS error, largest lean and RMS rate command are medians
-    over the flights that stay up. Gain margin: the upper one of the linear loop, none where it is unstable.
+    over the flights that stay up, in brackets their exact 95 % intervals where at least six do. Gain margin: the upper
+    one of the linear loop, none where it is unstable.
     """
     lines = []
     for length in LENGTHS:
@@ -176,7 +193,7 @@ def table14_seat(rows: Rows) -> Table:
                 _, low, high = survival(row)
                 cells.append(f"{row['survived']:.0f} ({100 * low:.0f} to {100 * high:.0f})")
                 for name, factor in (("error", 100.0), ("largest_lean", 100.0), ("rate", math.degrees(1.0))):
-                    cells.append(f"{factor * row[name]:.1f}" if math.isfinite(row[name]) else NONE)
+                    cells.append(_cell([factor * row[name + end] for end in ENDS]))
             cells.append(f"{row['gain_high']:.2f}" if row["growth_rate"] < 0 else NONE)
             lines.append(tuple(cells))
     each = tuple(
@@ -189,7 +206,7 @@ def table14_seat(rows: Rows) -> Table:
 
 
 def _row(rows: Rows, *case: str | float) -> dict:
-    """The row of a case, given in the order of ``KEYS``."""
+    """Return the row of a case, given in the order of ``KEYS``."""
     return next(row for row in rows if tuple(row[key] for key in KEYS) == case)
 
 

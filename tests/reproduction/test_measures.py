@@ -92,3 +92,19 @@ def test_what_a_flight_lacks_is_named():
     object.__setattr__(bare, "reference", None)
     with pytest.raises(BagError, match="/fip/reference"):
         measures.lean(bare)
+
+
+def test_the_interval_of_a_quantile_is_given_by_two_of_the_values():
+    assert measures.quantile_interval(range(5)) == pytest.approx((math.nan, math.nan), nan_ok=True)
+    # ranks 6 and 15 of 20 hold the median with 95.9 %, 7 and 14 only with 88 %
+    assert measures.quantile_interval(range(20, 0, -1)) == (6.0, 15.0)
+    low, high = measures.quantile_interval(range(71), 0.95)
+    # nine or more of 71 above it: 1 %; eight or more: 2.52 %
+    assert low == 62.0 and math.isnan(high), "0.95^71 = 2.6 %: the quantile may be above all values"
+    assert measures.quantile_interval(range(72), 0.95)[1] == 71.0
+
+
+def test_the_interval_of_a_quantile_holds_it_in_95_of_100_samples_or_more():
+    samples = np.random.default_rng(1).exponential(size=(2000, 30))
+    held = [low <= math.log(2.0) <= high for low, high in map(measures.quantile_interval, samples)]
+    assert 0.95 <= np.mean(held) <= 0.99

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from fiplib import dynamics
 from fiplib.params import GRAVITY, Params
@@ -50,3 +51,15 @@ def test_the_measured_response_follows_the_formula():
     model = identifiability.response(frequency[band], *identifiability.lengths_of(flight.params), share)
     # 24 values of three averaged segments each scatter by 1 to 2 cm, their mean by 4 mm
     assert measured[band].real.mean() == pytest.approx(model.mean(), abs=0.012)
+
+
+@pytest.mark.parametrize("seconds", [20.0, 54.0])
+def test_the_interval_of_a_spectrum_holds_that_of_white_noise_in_95_of_100(seconds):
+    rate = 60.0
+    noise = np.random.default_rng(1).normal(size=(400, round(seconds * rate)))
+    segment = round(identifiability.RESOLUTION * rate)
+    _, power = welch(noise, rate, nperseg=segment, detrend="linear")
+    low, high = identifiability.spectrum_interval(seconds)
+    # 4 of the 241 frequencies are left out: detrending takes the lowest, the last is real; 95 000 values correlate
+    held = (low * power[:, 3:-1] <= 2.0 / rate) & (2.0 / rate <= high * power[:, 3:-1])
+    assert held.mean() == pytest.approx(0.95, abs=0.005)

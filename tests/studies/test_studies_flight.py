@@ -222,4 +222,5 @@ def test_a_short_rod_flies_on_a_known_seat_and_falls_within_seconds_on_an_unknow
     # the linear loop of the unknown seat grows by 1.7 1/s, from millimetres of noise in a and 1 mrad of tilt
     assert unknown["survived"] == 0 and unknown["seconds"] < 3.0 and unknown["growth_rate"] > 1.0
     assert known["survived"] == 1 and known["growth_rate"] < 0.0 and known["error"] < 0.1
-    assert known == seat.run({**case, "stated": 0.08}), "repeatable"
+    again = seat.run({**case, "stated": 0.08})
+    assert again == pytest.approx(known, rel=0, abs=0, nan_ok=True), "repeatable"

@@ -43,6 +43,18 @@ def test_a_policy_is_held_against_the_flights_that_telling_the_length_keeps_up()
     assert handover.facts(handover_rows())["short", "outside", "flights"] == "4"
 
 
+def test_times_of_the_hand_over_have_an_interval_from_six_flights_on():
+    def late(count: int) -> tuple[str, ...]:
+        told = [{"policy": "told", "index": index, "survived": 1.0, "settled": 0.0} for index in range(count)]
+        flown = [row | {"policy": "trusted", "settled": 1.0 + row["index"] % 2} for row in told]
+        return handover.table8_handover([row | {"longest_used": 1.0} for row in told + flown]).rows[1][6:8]
+
+    assert late(5) == ("1.40", "2.00")
+    assert late(6) == ("1.50 (1.17 to 1.83)", "2.00 (2.00 to --)")
+    # 0.95^72 is the first power below 2.5 %: from here on the largest of all times bounds the quantile
+    assert late(71)[1].endswith("to --)") and late(72)[1].endswith("to 2.00)")
+
+
 def test_the_hand_over_table_has_a_line_for_each_policy_and_no_times_for_the_told_one():
     table = handover.table8_handover(handover_rows())
     assert list(dict.fromkeys(row[0] for row in table.rows)) == list(handover.LABELS.values())
@@ -168,7 +180,15 @@ def test_the_table_of_coverage_pools_windows_and_gives_an_interval_of_the_share(
     lines = {row[0]: row[1:] for row in poses.table13_coverage(rows).rows}
     assert len(lines) == len(poses.CONDITIONS)
     # of two flights the bootstrap draws either twice in half of all draws
-    assert lines["circle 0.4 m / 8 s"] == ("8", "0", r"$-$1.0", "6.0 (6.0 to 6.0)", "5.0", "88 (75 to 100)", "1.20")
+    assert lines["circle 0.4 m / 8 s"] == (
+        "8",
+        "0",
+        r"$-$1.0 ($-$3.0 to 1.0)",
+        "6.0 (6.0 to 6.0)",
+        "5.0",
+        "88 (75 to 100)",
+        "1.20",
+    )
     assert lines["noise doubled"][-1] == "--"
     assert lines["seat stated 0, is 8 cm"] == ("0", "100", "--", "--", "--", "--", "--")
     found = poses.facts(rows)
@@ -191,6 +211,7 @@ def test_a_study_that_is_not_complete_has_no_facts(tmp_path):
 
 def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
     result = {"flown": 20.0, "seconds": 20.0, "error": 0.05, "largest_lean": 0.02, "rate": 0.5}
+    result |= {f"{name}{end}": result[name] for name in ("error", "largest_lean", "rate") for end in ("_low", "_high")}
     margins = {"growth_rate": -1.0, "gain_high": 2.0}
     rows = [{**case, **result, **margins, "survived": 20.0 if case["stated"] else 0.0} for case in seat.cases()]
     # all of 20: the lower limit p of the exact interval has p^20 = 2.5 %
@@ -198,6 +219,10 @@ def test_the_table_of_the_seat_counts_who_stays_up_with_an_exact_interval():
     table = seat.table14_seat(rows)
     assert len(table.rows) == len(seat.LENGTHS) * (1 + len(seat.STATED))
     assert table.rows[1][:4] == ("0.4", "8", "0", "0 (0 to 17)") and table.rows[2][3] == "20 (83 to 100)"
+    assert table.rows[2][4] == "5.0 (5.0 to 5.0)"
+    rows[2] |= {"error_low": math.nan, "error_high": math.nan, "rate": math.nan}
+    # of fewer than six flights a median has no interval, of none no value
+    assert seat.table14_seat(rows).rows[2][4:7] == ("5.0", "2.0 (2.0 to 2.0)", "--")
     found = seat.facts(rows)
     assert found["shortest", "known", "up"] == "40" and found["middle", "unknown", "up"] == "0"
     assert seat.fig17_seat(rows).axes
