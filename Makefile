@@ -31,9 +31,10 @@ MAKEFLAGS += --no-builtin-rules
 
 .PHONY: help figures test fuzz notebooks lab book pdf slides student film bags sweep bench paper latex lint audit clean
 
-help: ## show this list
+help: #+ show this list
 	@echo "make TARGET; every target sets up .venv by itself where it needs it"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-9s  %s\n", $$1, $$2 }' Makefile
+	@awk -F ':' '/^[a-z-]+:.*#[+] / { others = others " " $$1 } END { print "  others, described in the Makefile:" others }' Makefile
 
 figures: $(FIGURE_FILES) $(GALLERY_FILES) $(CLAIM_FILES) ## make every figure and table of the paper, and print the claims ledger
 	@cat figures/claims.txt
@@ -43,11 +44,11 @@ test: .venv/installed ## run the tests, and the notebooks with small settings, o
 	    $(PY) -m pytest -m realtime tests && exit $$status
 
 # Seconds of each fuzzer, and its seed: make fuzz FIP_FUZZ_SECONDS=600 FIP_FUZZ_SEED=7. In make test each takes 20 s.
-fuzz: .venv/installed ## fuzz bags, failsafe and command line for an hour; each failure prints how to repeat it
+fuzz: .venv/installed #+ fuzz bags, failsafe and command line for an hour; each failure prints how to repeat it
 	@seconds=$${FIP_FUZZ_SECONDS:-1800}; seed=$${FIP_FUZZ_SEED:-$$(date +%s)}; echo "seed $$seed"; \
 	    FIP_FUZZ_SECONDS=$$seconds FIP_FUZZ_SEED=$$seed $(PY) -m pytest -n 2 -m fuzz tests
 
-notebooks: .venv/installed ## run every notebook at full length; nothing is written into them
+notebooks: .venv/installed #+ run every notebook at full length; nothing is written into them
 	@$(PY) -m pytest -n auto --nbmake --nbmake-timeout 3600 --verbose notebooks
 
 # Jupyter refuses to run as root, which one is in a container, without --allow-root. For a container see docs/faq.md.
@@ -59,13 +60,13 @@ lab: .venv/installed ## open JupyterLab on the first notebook (options of Jupyte
 book: .venv/installed ## make the book: notebooks with their results, and the library, docs/build/html
 	@$(PY) docs/book.py
 
-film: .venv/installed ## make the film of the README from a recorded flight, docs/static/film.webp
+film: .venv/installed #+ make the film of the README from a recorded flight, docs/static/film.webp
 	$(PY) -m fiplib.teaching.film data/estimate-1.4 docs/static/film.webp
 
-pdf: .venv/installed ## print the book as one PDF, docs/build/fip.pdf (needs chromium)
+pdf: .venv/installed #+ print the book as one PDF, docs/build/fip.pdf (needs chromium)
 	@$(PY) docs/book.py --pdf
 
-slides: .venv/installed ## make the slides of three lectures from the notebooks, docs/build/slides
+slides: .venv/installed #+ make the slides of three lectures from the notebooks, docs/build/slides
 	@$(PY) docs/slides.py
 
 student: .venv/installed ## make a copy for students without solutions, build/student and build/student.zip
@@ -78,7 +79,7 @@ bags: $(FLIGHTS) ## fly the simulator again and rewrite data/ (one flight alone:
 # kernels OpenBLAS and NumPy choose for the CPU. Pinned, a table of lengths is the same on every x86-64 since 2013.
 sweep: export OPENBLAS_CORETYPE := Haswell
 sweep: export NPY_DISABLE_CPU_FEATURES := X86_V4 AVX512_ICL AVX512_SPR
-sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; stop it any time, make sweep goes on from there
+sweep: .venv/installed ## run the studies behind data/sweeps/, for hours; it can be stopped and resumed
 	$(PY) -m fiplib sweep $(STUDIES)
 
 bench: .venv-bench/installed ## time everything beside its alternatives, each topic in a process: benchmarks/results.csv
@@ -87,7 +88,7 @@ bench: .venv-bench/installed ## time everything beside its alternatives, each to
 paper: latex paper/build/main.pdf ## typeset the reproduction report, paper/build/main.pdf (needs LaTeX)
 	@echo "The report is in paper/build/main.pdf"
 
-latex: ## check for the LaTeX that the report needs, and say what to install
+latex: #+ check for the LaTeX that the report needs, and say what to install
 	@if ! command -v latexmk >/dev/null || ! kpsewhich elsarticle.cls siunitx.sty >/dev/null; then \
 	    echo "The report needs LaTeX with latexmk. On Debian or Ubuntu:" >&2; \
 	    echo "  sudo apt-get install $(LATEX_PACKAGES)" >&2; \
@@ -101,16 +102,17 @@ lint: .venv/installed ## check style, format, types and stripped notebooks
 	$(PY) -m mypy
 	$(if $(wildcard notebooks/*.ipynb),$(PY) -m nbstripout $(STRIP) --verify notebooks/*.ipynb)
 
-audit: .venv-audit/installed ## ask the database of Python's advisories about every locked version (needs the network)
+audit: .venv-audit/installed #+ ask the database of Python's advisories about every locked version (needs the network)
 	@for lock in requirements.lock benchmarks/requirements.lock; do \
 	    .venv-audit/bin/pip-audit --disable-pip --require-hashes --requirement $$lock || exit 1; done
 
-clean: ## remove what was made; data/, .venv and the page figures/README.md stay
+clean: #+ remove what was made; data/, .venv and the page figures/README.md stay
 	rm -f $(foreach suffix,pdf png csv tex txt,figures/*.$(suffix))
 	rm -rf .make build paper/build paper/generated docs/build .pytest_cache .ruff_cache .hypothesis
 	find fiplib scripts tests benchmarks docs -name __pycache__ -exec rm -rf {} +
 
 LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}}
+LAB_HOOK := {"FileContentsManager": {"post_save_hook": "fiplib.teaching.saved.after_save"}}
 
 # --- set-up: two steps, so that an edit of pyproject.toml does not install every package again. Each marker is written
 # last, so an interrupted step starts afresh.
@@ -126,13 +128,16 @@ LAB_SETTINGS := {"@jupyterlab/apputils-extension:notification": {"fetchNews": "f
 	$(PY) -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@mkdir -p .venv/share/jupyter/lab/settings
 	@echo '$(LAB_SETTINGS)' > .venv/share/jupyter/lab/settings/overrides.json
+	@mkdir -p .venv/etc/jupyter/jupyter_server_config.d
+	@echo '$(LAB_HOOK)' > .venv/etc/jupyter/jupyter_server_config.d/fip.json
 	@echo "Compiling the loops of controller, filter and simulator: half a minute, once"
 	@$(PY) -c 'from fiplib import kernels; kernels.load()'
 	@$(MAKE) --no-print-directory notebook-filter
 	@touch $@
 
-# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), at
-# the top of a work tree of our own only. A clone without .venv, or without this step, works on unstripped files.
+# Running a notebook changes its file, not the repository: git strips what it reads from notebooks (.gitattributes), and
+# JupyterLab asks it to read after each save (LAB_HOOK). Only at the top of a work tree of our own. A clone without .venv,
+# or without this step, works on unstripped files.
 STRIP := --keep-id --extra-keys '$(foreach key,version codemirror_mode file_extension mimetype nbconvert_exporter \
     pygments_lexer,metadata.language_info.$(key))'
 .PHONY: notebook-filter

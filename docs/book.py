@@ -56,7 +56,7 @@ def module_name(path: Path) -> str:
 
 def add(path: Path, folder: Path) -> None:
     """Put a page or notebook into the tree, with links to pages of the book, and the files that it links to."""
-    place = folder / path.relative_to(DOCS if path.parent == DOCS else ROOT)
+    place = folder / path.relative_to(DOCS if DOCS in path.parents else ROOT)
     if place == folder / "README.md":
         place = folder / "repository.md"
     if place.exists():
@@ -84,8 +84,9 @@ def relinked(text: str, source: Path, folder: Path) -> str:
             return found[0]  # between pages of the book, which Sphinx checks
         if target == ROOT / "fiplib":
             target /= "__init__.py"
-        elif target.is_dir():
-            target /= "README.md"
+        elif target.is_dir():  # one without a page of its own is described by that of the folder above
+            pages = [place / "README.md" for place in (target, target.parent)]
+            target = next((page for page in pages if page.is_file()), pages[0])
         if not target.is_file() or ROOT not in target.parents:
             raise BookError(f"{source.relative_to(ROOT)}: links to {found[2]}, which does not exist")
         inside = target.relative_to(ROOT)
@@ -93,7 +94,7 @@ def relinked(text: str, source: Path, folder: Path) -> str:
             page = f"api/{'index' if inside == Path('fiplib/__init__.py') else module_name(target)}.md"
         else:
             page = "repository.md" if inside == Path("README.md") else inside.as_posix().removeprefix("docs/")
-            if not (inside.suffix == ".ipynb" or inside.parts[0] == "docs"):
+            if inside.suffix != ".ipynb" and target.parent != DOCS:
                 add(target, folder)
         depth = len(source.relative_to(ROOT).parts) - 1 if source.parent != DOCS else 0
         return f"{found[1]}{'../' * depth}{page}{found[3] or ''}{found[4]}"

@@ -21,7 +21,7 @@ from fiplib.params import FipError
 MISTAKE, READER_GONE = 2, 128 + 13
 """Exit statuses beside those of a subcommand: a user's mistake; the reader of the output has closed it (SIGPIPE)."""
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO, errno.EBADF)
-"""What writing to a stream fails with where no file is named: a full disk, a lost terminal, a closed stream."""
+"""Errors of writing to a stream, without a file name: a full disk, a lost terminal, a closed stream."""
 
 EXTRAS = {"dask": "sweep", "distributed": "sweep", "serial": "flight", "ipywidgets": "notebooks", "PIL": "notebooks"}
 EXTRAS |= {"pandas": "tables", "pyarrow": "tables", "viser": "notebooks"}
@@ -30,11 +30,11 @@ EXTRAS |= {"pandas": "tables", "pyarrow": "tables", "viser": "notebooks"}
 COMMANDS = {
     "figures": ("fiplib.commands.figures", "make figures, tables and the claims ledger from recorded flights"),
     "claims": ("fiplib.reproduction.ledger", "print every claim of the paper beside our number and the verdict"),
-    "bag": ("fiplib.commands.bag", "say what a recording holds and how long its rod is; cut, export, recover, convert"),
+    "bag": ("fiplib.commands.bag", "describe a recording, estimate its rod's length; cut, export, recover, convert"),
     "fly": ("fiplib.flight.command", "fly a scenario, simulated or on a vehicle, and record it"),
     "sweep": ("fiplib.studies.sweep", "run studies on all cores, or on a cluster"),
     "faults": ("fiplib.studies.faults.campaign", "inject faults into flights and judge the failsafe"),
-    "view": ("fiplib.teaching.viewer", "fly the simulated vehicle in a browser, or make a flight a page that plays"),
+    "view": ("fiplib.teaching.viewer", "fly the simulated vehicle in a browser, or write a page that replays a flight"),
     "firmware": ("fiplib.studies.betaflight", "fly with unmodified Betaflight firmware as the inner loop"),
 }
 """Module of each subcommand, and its line in ``fip --help``."""
@@ -80,18 +80,18 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _one_line(text: str) -> str:
-    """The text without line breaks and other control characters, which names of files may hold."""
+    """Return the text without line breaks and other control characters, which names of files may hold."""
     return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", " ", text)
 
 
 def _run(arguments: list[str]) -> int:
-    description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help says more."
+    description, more = "The flying inverted pendulum of unknown length.", "fip COMMAND --help describes a command."
     parser = _Parser(prog="fip", description=description, epilog=more)
     parser.add_argument("--version", action="version", version=f"fip {__version__}")
     commands = parser.add_subparsers(dest="subcommand", metavar="COMMAND", required=True)
     asked = next((word for word in arguments if not word.startswith("-")), None)
     for name, (module, summary) in COMMANDS.items():
-        subparser = commands.add_parser(name, help=summary, description=f"{summary.capitalize()}.")
+        subparser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         if name == asked:
             importlib.import_module(module).add_arguments(subparser)
     options = parser.parse_args(arguments)

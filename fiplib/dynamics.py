@@ -41,7 +41,7 @@ def axis_matrices(length: ArrayLike, inertia_factor: float = 1.0) -> tuple[NDArr
 
 
 def prediction_model(inertia_factor: float = 1.0) -> ca.Function:
-    """The paper's prediction model x' = f(x, u, l), linear in x and u (section 2.2), as a CasADi function.
+    """Return the paper's prediction model x' = f(x, u, l), linear in x and u (section 2.2), as a CasADi function.
 
     x and x' are (10,) in the order of ``STATES``, u (2,) in rad/s, l in m. ``inertia_factor`` is lambda: 1 in the
     paper's model, 3/4 for a uniform rod.
@@ -80,7 +80,7 @@ def jacobians(f: ca.Function) -> ca.Function:
 
 
 def exact_pendulum(gyration_ratio: float = 0.0) -> ca.Function:
-    """The nonlinear pendulum from its Lagrangian L = K - P in (a, b), for a prescribed acceleration of its base.
+    """Return the nonlinear pendulum from its Lagrangian L = K - P in (a, b), for a prescribed acceleration of its base.
 
     Lagrange's equations are formed by differentiating L, not by hand; the paper leaves this step to the reader. Per
     unit of pendulum mass, K = |v + d/dt (a, b, zeta)|^2 / 2 (+ k^2 |q'|^2 / 2, which the paper leaves out:

@@ -74,9 +74,9 @@ class Evolution:
 
     Attributes:
         length: best length found in m.
-        standard_deviation: in m, from the curvature of the log likelihood at ``length``; nan for readings that are
+        standard_deviation: in m, from the curvature of the log likelihood at ``length``; nan for a fitness that is
             not a likelihood (the paper reports none), at an end of the interval and where the curvature is not
-            positive. As honest as the noise covariances.
+            positive. Correct only if the noise covariances are.
         fitness: fitness of ``length``.
         best_lengths: best length of each generation in m, (G,).
         populations: all lengths in m, (G, N); those beyond length_max are infeasible.
@@ -100,7 +100,7 @@ class Landscape:
 
     @property
     def best(self) -> float:
-        """The length in m with the smallest fitness: what a perfect search would find."""
+        """Return the length in m with the smallest fitness: what a perfect search would find."""
         return float(self.lengths[self.fitness.argmin()])
 
 
@@ -233,7 +233,7 @@ def _standard_deviation(best: int, chromosome: Chromosome, fitness_of: Callable[
 
 
 def _checked(estimation: Estimation) -> Estimation:
-    """The same, or a ValueError that names what makes no sense."""
+    """Return the parameters; ValueError names one that makes no sense."""
     if estimation.generations < 1 or estimation.population < 2:
         raise ValueError(
             f"need at least 1 generation of 2, got {estimation.generations} generations of {estimation.population}"

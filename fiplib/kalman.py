@@ -1,4 +1,4 @@
-"""Kalman filter over a window of flight data, with a candidate length inside: how well does it explain the data?
+"""Kalman filter over a window of flight data, with a candidate length in its model: the fitness of that length.
 
 ``filter_step`` is the filter as a textbook has it, one line an equation of the paper, and ``filter_window`` runs it
 over a window. ``fitness`` is the same filter in a compiled loop (``kernels.filtering``), for thousands of lengths: each
@@ -56,7 +56,7 @@ def filter_step(
 
 
 class Reading(NamedTuple):
-    """One reading of the paper's filter: how the state and its covariance advance, and what is summed as fitness."""
+    """One interpretation of the paper's filter: propagation of state and covariance, and summand of the fitness."""
 
     transition: str
     score: str
@@ -123,7 +123,7 @@ class Filtered:
 
 
 def reading(estimation: Estimation) -> Reading:
-    """The reading named by ``estimation.fitness``; ValueError with the known names if there is none."""
+    """Return the interpretation that ``estimation.fitness`` names; ValueError with the known names if there is none."""
     try:
         return READINGS[estimation.fitness]
     except KeyError:
@@ -131,7 +131,7 @@ def reading(estimation: Estimation) -> Reading:
 
 
 def linear_model(length: float, step: float, transition: str) -> LinearModel:
-    """The prediction model of a length in m over ``step`` s, in one of the ``TRANSITIONS``."""
+    """Return the prediction model of a length in m over ``step`` s, in one of the ``TRANSITIONS``."""
     continuous, discrete = _derivatives(step)
     A, B = (matrix.full() for matrix in continuous(0, 0, length))
     if transition == "rk4":
@@ -153,14 +153,14 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
     Args:
         lengths: candidates in m, (C,).
         window: the data.
-        estimation: noise covariances and the name of the reading.
+        estimation: noise covariances and the name of the interpretation.
 
     Returns:
         (C,): a sum of squares in mixed units, as printed, for 'posterior' and 'prior'; -2 log likelihood up to a
         constant for 'likelihood'. Infinite where the filter overflowed.
 
     Raises:
-        ValueError: unknown reading, noise of the wrong size or sign, lengths that are not positive and finite.
+        ValueError: unknown interpretation, noise of the wrong size or sign, lengths that are not positive and finite.
     """
     from fiplib.kernels import (
         filtering,  # here and not above: numba takes a while, and not all who read windows filter them
@@ -178,7 +178,7 @@ def fitness(lengths: ArrayLike, window: Window, estimation: Estimation) -> NDArr
 
 
 def filter_window(lengths: ArrayLike, window: Window, estimation: Estimation) -> Filtered:
-    """The textbook's filter over a window, for a look inside; takes some ms a length. Errors as ``fitness``."""
+    """Return the textbook's filter over a window, for a look inside; takes some ms a length. Errors as ``fitness``."""
     lengths = _checked_lengths(lengths)
     transition, (Q, R) = reading(estimation).transition, map(np.diag, _noise(estimation))
     samples = len(window.states) - 1

@@ -69,7 +69,7 @@ def weights(
     p = params.control.terminal_factor * q if terminal_weights is None else terminal_weights
     p = _weight_matrix("terminal_weights P", p, len(STATES))
     if np.linalg.eigvalsh(r)[0] <= 0.0:
-        raise ValueError("input_weights R must be positive: an input that costs nothing has no best value")
+        raise ValueError("input_weights R must be positive: otherwise the optimal input is not unique")
     return Weights(q, r, p)
 
 
@@ -135,7 +135,7 @@ class Status(enum.Enum):
 
 
 STATUSES = tuple(Status)
-"""By their number in ``kernels.control``."""
+"""The statuses, in the order of their numbers in ``kernels.control``."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class AxisProblem:
 
     @property
     def plan(self) -> NDArray:
-        """The map (6 N, 5 + N) from (z_0, w) to the plan, whose rows are (u_k, z_{k+1}), k = 0 .. N-1."""
+        """Return the map (6 N, 5 + N) from (z_0, w) to the plan, whose rows are (u_k, z_{k+1}), k = 0 .. N-1."""
         nodes = len(self.roots)
         z, rows = np.eye(5, 5 + nodes), []
         for k in range(nodes):
@@ -256,7 +256,7 @@ class MPC:
         return Solution(inputs[0], inputs, states, STATUSES[answer & 3], answer > 3)
 
     def prepared(self, length: float | None = None) -> tuple:
-        """What ``kernels.control.solve`` needs beside state and reference, for a length as in ``solve``."""
+        """Return the arguments of ``kernels.control.solve`` after state and reference, for a length as in ``solve``."""
         length = self.params.pendulum.length if length is None else float(length)
         if not 0.0 < length < math.inf:
             raise ValueError(f"length must be positive and finite, got {length} m")
@@ -278,7 +278,7 @@ class MPC:
 
 
 def _per_axis(cost: Weights) -> Weights:
-    """The blocks Q (2, 5, 5), R (2,), P (2, 5, 5) of the axes; a ValueError where a weight couples them."""
+    """Return the blocks Q (2, 5, 5), R (2,), P (2, 5, 5) of the axes; a ValueError where a weight couples them."""
     home = {signal: axis for axis in AXES for signal in (*(STATES[i] for i in axis.states), INPUTS[axis.input])}
     for signals, matrix in ((STATES, cost.state), (INPUTS, cost.input), (STATES, cost.terminal)):
         for i, j in np.argwhere(matrix):

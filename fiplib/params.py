@@ -1,7 +1,7 @@
 """Every parameter of the package, once, with its unit and its source.
 
-The paper's Tables 1 and 2 are copied as printed. Where the paper is silent the value is a *reading* of its text or
-*our choice*, and the reason stands beside it. Nothing else in the package holds a physical number.
+The paper's Tables 1 and 2 are copied as printed. Where the paper is silent the value is an *interpretation* of its
+text or *our choice*, and the reason stands beside it. Nothing else in the package holds a physical number.
 
 State order, names, labels and units are declared here and nowhere else.
 """
@@ -121,7 +121,7 @@ class Control:
     state_weights: tuple[float, ...] = quantity(
         (20.0, 5.0, 2.0, 0.5, 1000.0, 50.0, 1000.0, 50.0, 1.0, 1.0),
         "1/unit^2",
-        "our choice: Q; heavy on a, b, so that a wrong length flies; y and y' a tenth of x and x', as the paper's own "
+        "our choice: Q; heavy on a, b, to tolerate a wrong length; y and y' a tenth of x and x', as the paper's own "
         "weights of y wanted tuning (section 4.2); found by the study 'weights'",
         zero=True,
     )
@@ -146,10 +146,10 @@ class Estimation:
 
     estimator: str = quantity("ga", "-", "paper, section 2.3: genetic algorithm; a name in estimators.ESTIMATORS")
     window: int = quantity(55, "samples", "paper, Table 2: t_w")
-    sample_period: float = quantity(0.1, "s", "reading: the MPC's own step; at 1/120 s, 0.46 s barely hold the length")
+    sample_period: float = quantity(0.1, "s", "interpretation: the MPC's step; with 1/120 s, 0.46 s are too short")
     raw_window: float = quantity(2.5, "s", "our choice: span an estimator of kind 'raw' gets", above="first_raw_window")
     first_raw_window: float = quantity(0.3, "s", "our choice: trusted: span at the first run; less holds no length")
-    run_period: float = quantity(0.2, "s", "reading of '0.2 Hz': a 0.2 s period; the other reading is 5.0 s")
+    run_period: float = quantity(0.2, "s", "interpretation of '0.2 Hz': a 0.2 s period; the other is 5.0 s")
     length_min: float = quantity(0.2, "m", "paper, Table 2: l_min", within=(0.01, 20))
     length_max: float = quantity(2.0, "m", "paper, Table 2: l_max", within=(0.01, 20), above="length_min")
     resolution: float = quantity(1e-4, "m", "paper, section 2.3: resolution of the chromosome", within=(1e-5, 1))
@@ -196,7 +196,7 @@ class Piloting:
         0.08, "m", "paper, section 3: of the seat above the tracked point, as the pilot has it", zero=True, before=0.0
     )
     seat_tolerance: float = quantity(2e-3, "m", "our choice: standard deviation of the stated seat height", zero=True)
-    pendulum_measurement: str = quantity("position", "-", "reading: 'position' of the COM, or 'direction' of the rod")
+    pendulum_measurement: str = quantity("position", "-", "interpretation: 'position' of COM or 'direction' of rod")
     velocity_cutoff: float = quantity(20.0, "Hz", "our choice: low-pass filter of the differentiated positions")
     controller: str = quantity("mpc", "-", "paper, section 2.2; others: controllers.CONTROLLERS", before="mpc")
     observer: str = quantity("differentiate", "-", "paper, section 3; or 'kalman': a name in observers.OBSERVERS")
@@ -216,7 +216,7 @@ class Piloting:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the simulated vehicle and its sensors do beyond the rigid-body plant."""
+    """Effects of the simulated vehicle and its sensors beyond the rigid-body plant."""
 
     plant_rate: float = quantity(960.0, "Hz", "our choice: RK4 steps of the plant, four to a mocap frame")
     rate_delay: float = quantity(12.5e-3, "s", "Betaflight's 9 to 12 ms (docs/firmware.md), and the radio's", zero=True)
@@ -234,8 +234,9 @@ class Simulation:
     wind: tuple[float, float] = quantity((0.0, 0.0), "m/s", "steady wind (x, y)", within=(-20, 20), before=(0.0, 0.0))
     gusts: float = quantity(0.0, "m/s", "standard deviation of the gusts per axis", within=(0, 20), before=0.0)
     drag: tuple[float, float] = quantity(
-        (0.26, 8e-3), "N s/m", "of vehicle (Faessler 2018: 0.46/s) and rod (6 mm, 2 m/s) in wind", before=(0.26, 8e-3)
-    )
+        (0.26, 8e-3), "N s/m", "of vehicle (Faessler 2018: 0.46/s) and rod (6 mm, 2 m/s) in wind", within=(0, 10),
+        before=(0.26, 8e-3),
+    )  # fmt: skip
     rotor_loss: float = quantity(0.0, "1", "share that a hindered rotor lacks", within=(0, 1), before=0.0)
     rotor_loss_start: float = quantity(0.0, "s", "time from which on it is hindered", zero=True, before=0.0)
     battery_sag: float = quantity(0.0, "1/s", "share of the thrust lost per second", within=(0, 1), before=0.0)
@@ -344,7 +345,7 @@ def _parsed(value: Any) -> Any:
 
 
 def _checked(name: str, value: Any, group: Any, key: str) -> Any:
-    """The value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
+    """Return the value, if it is of the same kind as the one it replaces; numbers as float, lists as tuple."""
     current, metadata = getattr(group, key), group.__dataclass_fields__[key].metadata
 
     def number(item: Any, kinds: Any = int | float) -> bool:

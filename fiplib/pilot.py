@@ -27,7 +27,7 @@ from fiplib.references import Reference
 
 
 class Command(NamedTuple):
-    """What is sent to the vehicle, and what it was based on.
+    """A command to the vehicle, with the state and the reference that it was computed from.
 
     ``body_rate`` (3,) rad/s, ``thrust`` normalised to [0, 1], ``state`` and ``reference`` (10,), ``length`` used in m.
     """
@@ -42,7 +42,7 @@ class Command(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """What a controller knows at a control tick.
+    """The inputs of a controller at one control tick.
 
     ``now`` in ns, ``elapsed`` in s since the last tick, ``state`` (10,), ``reference`` (N+1, 10) at the nodes of the
     horizon, ``height`` in m, ``climb_rate`` in m/s, ``yaw`` in rad.
@@ -94,6 +94,8 @@ class Pilot:
         if tick is None:
             return None
         solution = self.solve(tick)
+        if not np.isfinite(solution.input).all():
+            raise ValueError(f"the controller answered {solution.input}: its body rates must be finite")
         return self.answer(tick, solution.input, solution.status)
 
     def observe(self, now: int, measurement: Measurement) -> Tick | None:
@@ -143,7 +145,7 @@ class Pilot:
 
     @property
     def window_seconds(self) -> float:
-        """How long the estimator's window is, s."""
+        """Return how long the estimator's window is, s."""
         return self._sampler.seconds
 
     def forget_window(self) -> None:
@@ -181,12 +183,19 @@ class Pilot:
 
 
 def least_period(piloting: Piloting) -> int:
-    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick."""
+    """The least time between control ticks, ns: half a frame early counts, as arrival times jitter about the tick.
+
+    Raises ValueError: ticks, which come with frames, cannot have the rate that observers and estimators count on.
+    """
+    frames = piloting.mocap_rate / piloting.control_rate
+    if not math.isclose(frames, max(1, round(frames)), rel_tol=0.01):
+        rates = f"{piloting.mocap_rate:g} and {piloting.control_rate:g} Hz"
+        raise ValueError(f"piloting.mocap_rate must be a whole multiple of piloting.control_rate, not {rates}")
     return round(NANO / piloting.control_rate) - round(NANO / piloting.mocap_rate / 2)
 
 
 def estimator_of(params: Params) -> Estimator:
-    """The estimator that a flight uses; ValueError if its name is not known."""
+    """Return the estimator that a flight uses; ValueError if its name is not known."""
     return _known("estimation.estimator", params.estimation.estimator, ESTIMATORS)
 
 

@@ -101,7 +101,7 @@ GALLERY = "gallery"
 
 
 def page() -> Product:
-    """The page of the paper's figures: made from what these are made from."""
+    """Return the page of the paper's figures: made from what these are made from."""
     shown = [PRODUCTS[name] for name in gallery.NAMES]
     return Product(
         "fiplib.reproduction.gallery:page",
@@ -113,7 +113,7 @@ def page() -> Product:
 
 
 def ledger() -> Product:
-    """The ledger: made from what its claims and the report's facts are read from."""
+    """Return the ledger: made from what its claims and the report's facts are read from."""
     from fiplib.reproduction.claims import JUDGED
 
     return Product(

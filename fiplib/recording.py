@@ -1,4 +1,4 @@
-"""What a flight leaves behind: frames, signals, events, and what they are recorded to."""
+"""The data of a flight: frames, signals, events, and the recorder that they are written to."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,7 +39,7 @@ def numbers_of(measurement: Measurement) -> NDArray:
 
 
 def nanoseconds(now: int) -> int:
-    """Return a time as a plain int. Raises ValueError if it is none that a ROS message can carry, 0 to 2038."""
+    """Return a time as a plain int. Raises ValueError if a ROS message cannot carry it, 0 to 2038."""
     if isinstance(now, int | np.integer) and not isinstance(now, bool) and 0 <= now < 2**31 * NANO:
         return int(now)
     raise ValueError(f"a time must be an integer in ns, from 0 to the year 2038, not {now!r}")
@@ -57,7 +57,7 @@ class BagError(FipError):
 
 
 class Role(NamedTuple):
-    """What one topic is for: its default name, message type, frame, and the names and units of its numbers."""
+    """The role of one topic: its default name, message type, frame, and the names and units of its numbers."""
 
     topic: str
     type: str
@@ -123,7 +123,7 @@ class Series:
         return cls(stamp, values, ROLES[role].names, ROLES[role].units)
 
     def column(self, name: str) -> np.ndarray:
-        """The column (n,) of that name. Raises KeyError, with the names there are."""
+        """Return the column (n,) of that name. Raises KeyError, with the names there are."""
         if name not in self.names:
             raise KeyError(f"no column {name!r}; columns are {', '.join(self.names)}")
         return self.values[:, self.names.index(name)]
@@ -179,7 +179,7 @@ class Flight:
     """The first exposure of either body: time zero of the flight."""
     topics: tuple[TopicInfo, ...]
     notes: tuple[str, ...] = ()
-    """What reading guessed or left out, a sentence each."""
+    """Assumptions and omissions of the reader, one sentence each."""
 
     def time(self, data: Poses | Series | Event) -> Any:
         """Seconds since the start of the flight: (n,) float64 for arrays, one float for an event."""
@@ -192,12 +192,12 @@ class Flight:
 
     @property
     def survived(self) -> bool:
-        """Whether no fall was recorded: rod and vehicle were up to the end."""
+        """Return whether no fall was recorded: rod and vehicle were up to the end."""
         return all(event.kind != "fall" for event in self.events)
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulator made this flight. Every figure and number made from it must say so."""
+        """Return whether a simulator made this flight. Every figure and number made from it must state this."""
         return self.metadata["origin"] == "simulated"
 
     @property
@@ -273,7 +273,7 @@ class MemoryRecorder(Recorder):
             self._other.event(stamp, level, text, kind, data)
 
     def flight(self, path: str | Path, metadata: dict[str, Any]) -> Flight:
-        """The flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
+        """Return the flight so far, as ``bags.read`` would give it from its bag; at least one frame must be there."""
         return flight_of(path, metadata, self.stamps, self.values, self.events)
 
 

@@ -2,7 +2,7 @@
 
 The bag holds all that the pilot was given (poses, their times, the estimates it received), so the commands come out bit
 for bit as they were flown. With other parameters the same functions say what the pilot *would* have commanded, and
-which windows another estimator would have been given. Whoever needs windows of a flight has them cut here.
+which windows another estimator would have been given. All windows of a recorded flight are cut here.
 """
 
 import math
@@ -63,7 +63,7 @@ def why_not_refit(flight: Flight, least: float | None = None) -> str | None:
 
 
 def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
-    """The frames as the pilot got them: (time of arrival in ns, both bodies).
+    """Yield the frames as the pilot got them: (time of arrival in ns, both bodies).
 
     Every pose of the vehicle is joined with the latest pose of the pendulum that had arrived by then.
     """
@@ -76,7 +76,7 @@ def measurements(flight: Flight) -> Iterator[tuple[int, Measurement]]:
 
 
 def states(flight: Flight) -> Series:
-    """The states that the controller used; where none are recorded, derived from the poses the paper's way."""
+    """Return the states that the controller used; where none are recorded, derived from the poses the paper's way."""
     if flight.state is not None:
         return flight.state
     observer, length = Observer(flight.params), flight.params.piloting.initial_length
@@ -94,16 +94,20 @@ def assumed_seat(flight: Flight) -> str | None:
 
 
 def reference(flight: Flight) -> Reference:
-    """The reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
-    entry = dict(flight.metadata.get("reference", {}))
-    kind = entry.pop("kind", None)
-    if kind not in REFERENCES:
+    """Return the reference that the flight followed. Raises BagError: the bag does not name one that is known here."""
+    recorded = flight.metadata.get("reference", {})
+    entry = dict(recorded) if isinstance(recorded, dict) else {}
+    make = REFERENCES.get(str(entry.pop("kind", None)))
+    if make is None:
         raise BagError(f"{flight.path}: its metadata name no reference of the kinds {', '.join(REFERENCES)}")
-    return REFERENCES[kind](**entry)
+    try:
+        return make(**entry)
+    except (TypeError, ValueError) as error:
+        raise BagError(f"{flight.path}: its metadata describe no reference that can be followed ({error})") from error
 
 
 def commands(flight: Flight, params: Params | None = None, follow: Reference | None = None) -> Series:
-    """What the pilot commands when it is given the poses and the estimates of the bag, (n, 4) as ``flight.command``.
+    """Return the pilot's commands for the poses and the estimates of the bag, (n, 4) as ``flight.command``.
 
     ``params`` and ``follow`` replace the parameters and the reference it was flown with. Raises BagError as
     ``reference``, if none is given.
@@ -123,7 +127,7 @@ def commands(flight: Flight, params: Params | None = None, follow: Reference | N
 
 
 def at_recorded_rate(params: Params, command: Series) -> Params:
-    """The parameters with the control rate at which commands were recorded: their stamps know it, whoever flew.
+    """Return the parameters with the control rate at which commands were recorded, which follows from their stamps.
 
     The parameters' own rate stays where it agrees with the median step of the stamps within 2 %.
     """
@@ -133,7 +137,7 @@ def at_recorded_rate(params: Params, command: Series) -> Params:
 
 
 def refit(flight: Flight, params: Params | None = None) -> Flight:
-    """The flight with the lengths that an estimator finds in it now, taken over as the pilot would have.
+    """Return the flight with the lengths that an estimator finds in it now, taken over as the pilot would have.
 
     With the parameters of the flight these are the recorded lengths, to the last bit; ``params`` are others (estimator,
     window, hand-over). Raises BagError: the bag cannot be refitted; the message says why.
@@ -154,7 +158,7 @@ def refit(flight: Flight, params: Params | None = None) -> Flight:
 
 
 def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Any) -> "PoseEstimate":
-    """Return the length of the rod from nothing but the two bodies of a whole flight, or why there is none.
+    """Return the length of the rod from the poses of the two bodies over a whole flight, or the reason for a refusal.
 
     ``knowledge`` are priors, by default ``Knowledge.of_flight``; ``stated`` are fields that replace some of them.
     Raises ValueError: ``flight`` is no flight.
@@ -169,7 +173,7 @@ def estimate(flight: Flight, knowledge: Knowledge | None = None, **stated: Any) 
 
 
 def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
-    """The windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
+    """Return the windows that the estimator is given on this flight, in order; the n-th is that of its n-th run.
 
     ``params`` are other parameters (window, sampling, schedule) than those of the flight. Raises BagError: the bag
     cannot be refitted; the message says why.
@@ -182,12 +186,12 @@ def windows(flight: Flight, params: Params | None = None) -> list[TimedWindow]:
 
 
 def spaced_windows(flight: Flight) -> list[Window]:
-    """The estimator's window of every ``STRIDE``-th run. Raises BagError as ``windows``."""
+    """Return the estimator's window of every ``STRIDE``-th run. Raises BagError as ``windows``."""
     return [timed.window for timed in windows(flight)[::STRIDE]]
 
 
 def window_between(flight: Flight, start: float, end: float, params: Params) -> tuple[Window, Params]:
-    """The window of states between two times in s since the start, sampled as the pilot does it.
+    """Return the window of states between two times in s since the start, sampled as the pilot does it.
 
     ``params`` give the sampling period. They are returned, too, with the number of samples and the rate at which
     commands were recorded. Raises BagError: the bag holds no commands; ValueError: fewer than 2 samples, or more than
@@ -238,7 +242,7 @@ def raw_window_between(flight: Flight, start: float, end: float) -> RawWindow:
 def _due(
     flight: Flight, sampler: WindowSampler | RawSampler, start: float = -math.inf, end: float = math.inf
 ) -> Iterator[TimedWindow]:
-    """The windows that a sampler has ready at the commands between two times in s, fed as in flight."""
+    """Yield the windows that a sampler has ready at the commands between two times in s, fed as in flight."""
     command, known = _commands(flight, -math.inf), states(flight)
     at, latest = flight.time(command), np.searchsorted(known.stamp, command.stamp, side="right") - 1
     frames = measurements(flight)
@@ -254,7 +258,7 @@ def _due(
 
 
 def _commands(flight: Flight, least: float | None) -> Series:
-    """The commands of a flight. Raises BagError with the reason of ``why_not_refit``."""
+    """Return the commands of a flight. Raises BagError with the reason of ``why_not_refit``."""
     if (reason := why_not_refit(flight, least)) or flight.command is None:
         raise BagError(f"{flight.path}: {reason}")
     return flight.command

@@ -27,8 +27,8 @@ from fiplib.pilot import Pilot, estimator_of
 from fiplib.recording import EPOCH, Event, Flight, Measurement, MemoryRecorder, Recorder
 from fiplib.references import Circle, Hover, Reference
 
-GROUND = 0.05
-"""Height at which the simulated vehicle comes to rest, m; the plant itself knows no ground."""
+GROUND = 0.1
+"""Height of the seat below which the simulated vehicle is on the ground, m: ``Plant.fallen``, and it rests there."""
 
 NOISE_FRAMES = 240
 """Frames whose noise is drawn at once: of a minute it takes 2 to 10 ms, which is a late frame in real time."""
@@ -42,7 +42,7 @@ class Push(NamedTuple):
     duration: float = 0.05
 
     def event(self, stamp: int) -> Event:
-        """The event to record when the push begins, at ``stamp`` ns."""
+        """Return the event to record when the push begins, at ``stamp`` ns."""
         data = {"impulse": list(self.impulse), "duration": self.duration}
         return Event(stamp, "info", f"push of {1e3 * math.hypot(*self.impulse):g} mN s on the rod's COM", "push", data)
 
@@ -51,7 +51,9 @@ class Push(NamedTuple):
 class Scenario:
     """One simulated flight, fully determined.
 
-    ``told_lengths`` are (time s, length m): from that time on the pilot is told this length instead of an estimate.
+    ``told_lengths`` are (time s, length m): from that time on the pilot is given this length instead of an estimate.
+
+    Raises ValueError: duration, seed, pushes or told lengths are impossible, or not in the order of time.
     """
 
     name: str
@@ -62,6 +64,24 @@ class Scenario:
     told_lengths: tuple[tuple[float, float], ...] = ()
     params: Params = field(default_factory=Params)
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        told, ends = [time for time, _ in self.told_lengths], [push.start + push.duration for push in self.pushes]
+        possible = {
+            "a finite duration above 0 s": 0.0 < self.duration < math.inf,
+            "a whole seed, 0 or more": isinstance(self.seed, int | np.integer) and self.seed >= 0,
+            "pushes of finite impulses that last longer than 0 s": all(
+                math.isfinite(sum(push.impulse)) and 0.0 < push.duration < math.inf for push in self.pushes
+            ),
+            "pushes from 0 s on, each after the end of the one before": all(
+                start >= end - 1e-9
+                for start, end in zip([push.start for push in self.pushes], [0.0, *ends], strict=False)
+            ),
+            "told lengths in the order of time": all(map(math.isfinite, told)) and told == sorted(told),
+        }
+        for needed, given in possible.items():
+            if not given:
+                raise ValueError(f"scenario {self.name!r} needs {needed}")
 
     def metadata(self) -> dict[str, Any]:
         """Return what a bag of this flight carries about its origin."""
@@ -126,14 +146,14 @@ class Plant:
         self._substep += self.substeps
 
     def truth(self) -> NDArray:
-        """The ten true states and the height z, in the order of ``recording.ROLES["truth_state"]``."""
+        """Return the ten true states and the height z, in the order of ``recording.ROLES["truth_state"]``."""
         truth = np.empty(11)
         self._true_state(self.x, self._radius, truth)
         return truth
 
     @property
     def fallen(self) -> bool:
-        """Whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
+        """Return whether rod or vehicle lean too far to come back, or the vehicle is on the ground."""
         return self._fallen(self.x)
 
 
@@ -146,11 +166,11 @@ class Mocap:
         self._expose = poses.expose
         scale = np.repeat([params.simulation.position_noise, params.simulation.attitude_noise], 6)
         self.noise = rng.normal(size=(frames, 12)) * scale
-        """Of both positions in m, then of both attitudes in rad, (frames, 12)."""
+        """Noise of both positions in m, then of both attitudes in rad, (frames, 12)."""
         self._radius, self._seat = params.pendulum.length / 2, params.seat_above_tracked
 
     def frame(self, index: int, stamp: int, x: NDArray) -> Measurement:
-        """The frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
+        """Return the frame ``index`` of the plant state x (20,), exposed at ``stamp`` ns."""
         frame = np.empty(14)
         self._expose(x, self._radius, self._seat, self.noise[index], frame)
         return Measurement(stamp, frame[:3], frame[3:7], frame[7:10], frame[10:])
@@ -200,7 +220,7 @@ class SimulatedVehicle:
         return Mocap(self._params, frames, self._rng)
 
     def measure(self, stamp: int) -> Measurement:
-        """The frame exposed now, at ``stamp`` ns."""
+        """Return the frame exposed now, at ``stamp`` ns."""
         index, self._frames = self._frames % NOISE_FRAMES, self._frames + 1
         if index == 0:
             self._mocap = self.mocap(NOISE_FRAMES)
@@ -208,8 +228,8 @@ class SimulatedVehicle:
 
     @property
     def landed(self) -> bool:
-        """Whether the vehicle has come to rest on the ground."""
-        return self.plant.x[2] < GROUND + self._params.vehicle.seat_height
+        """Return whether the vehicle has come to rest on the ground."""
+        return self.plant.x[2] < GROUND
 
     def command(self, command: Any, at: int | None = None) -> None:
         """Take ``body_rate`` (3,) in rad/s and ``thrust`` in [0, 1], to act after the usual delay or at a substep."""
@@ -230,7 +250,7 @@ class ParallelEstimator(Protocol):
     """An estimator that runs beside the flight: the simulator's, or one in a process of its own."""
 
     remarks: deque[tuple[str, str]]
-    """(level, text) of what it has to say about itself; whoever reads them takes them away."""
+    """Remarks of the estimator about itself, as (level, text); the reader removes them."""
     seconds: float
     """How long its last run took, s; nan where that is not known."""
 
@@ -255,7 +275,7 @@ class SimulatedEstimator:
 
     @property
     def due(self) -> int | None:
-        """When the answer of the run under way will be delivered, ns; ``None`` if none is."""
+        """Return when the answer of the run under way will be delivered, ns; ``None`` if none is."""
         return self._ready[0] if self._ready else None
 
     def deliver(self, now: int, window: Window | RawWindow | None) -> Estimate | None:
@@ -374,12 +394,12 @@ def fly(
 
 
 def event_of_status(stamp: int, status: Status) -> Event:
-    """The event to record when the MPC's answer is of another kind than the one before, at ``stamp`` ns."""
+    """Return the event to record when the MPC's answer is of another kind than the one before, at ``stamp`` ns."""
     return Event(stamp, "info", f"MPC status {status.value}", "status", {"status": status.value})
 
 
 def event_of_fall(stamp: int) -> Event:
-    """The event that ends a flight early, at ``stamp`` ns."""
+    """Return the event that ends a flight early, at ``stamp`` ns."""
     return Event(stamp, "error", "rod or vehicle fell: flight ended", "fall")
 
 

@@ -105,6 +105,14 @@ def test_every_number_has_a_range_that_holds_its_default_and_is_named_when_it_is
             {"simulation__plant_rate": 24.0},
             "plant_rate must be a whole multiple of piloting.mocap_rate, not 24 and 240",
         ),
+        (
+            {"piloting__control_rate": 100.0},
+            "mocap_rate must be a whole multiple of piloting.control_rate, not 240 and 100 Hz",
+        ),
+        (
+            {"piloting__control_rate": 500.0},
+            "mocap_rate must be a whole multiple of piloting.control_rate, not 240 and 500 Hz",
+        ),
         ({"simulation__thrust_lag": 1e-4}, r"thrust_lag must be at least 0.4 / simulation.plant_rate = 0.000417 s"),
         ({"simulation__initial_lean": 0.1}, r"initial_lean must be at most pendulum.length / 12 = 0.0833 m, not 0.1 m"),
     ],

@@ -1,6 +1,7 @@
 """The pilot on its own: references, states from poses, ticks, the estimator's schedule, the hand-over of the length."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -305,3 +306,11 @@ def test_a_misuse_is_one_value_error_in_words_and_changes_nothing(name):
     fresh = Pilot(Params(), Hover())
     command, expected = (one.step(NANO // 60, POSES._replace(stamp=NANO // 60)) for one in (pilot, fresh))
     np.testing.assert_array_equal(command.body_rate, expected.body_rate)
+
+
+def test_a_controller_that_answers_no_number_is_named_and_not_the_frame_after_it():
+    pilot = Pilot(PARAMS, Hover())
+    solve = pilot.solve
+    pilot.solve = lambda tick: replace(solve(tick), input=np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"the controller answered .*nan.*finite"):
+        pilot.step(0, frame(0))

@@ -92,6 +92,9 @@ def test_what_cannot_be_replayed_says_why(estimated):
     nameless = dataclasses.replace(estimated, metadata={**estimated.metadata, "reference": {}})
     with pytest.raises(BagError, match=r"estimate-1.4.*name no reference"):
         replay.commands(nameless)
+    for odd in ("Hover", {"kind": ["Hover"]}, {"kind": "Hover", "z": 1}, {"kind": "Circle", "radius": 1, "period": 0}):
+        with pytest.raises(BagError, match=r"estimate-1.4.*no reference"):
+            replay.reference(dataclasses.replace(estimated, metadata={**estimated.metadata, "reference": odd}))
     assert len(replay.commands(nameless, follow=Hover()).values) == len(estimated.command.values)
 
 

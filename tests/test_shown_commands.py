@@ -29,6 +29,7 @@ NOT_RUN = {
     r"FIP_FIRMWARE=1 .*": "needs Betaflight's simulator",
     r"python (scripts/fly.py|tests/flight/ros2_vehicle.py) .*|python tests/flight/ros2_vehicle.py": "needs ROS 2 or a "
     "radio: tests/flight/test_ros2.py and test_crsf.py run them",
+    r"\.venv/bin/python -m nbconvert .*": "runs a notebook: tests/teaching/test_clean_runs.py does",
     r"fip claims.*": "takes minutes; make figures writes what it prints, and .ci/run compares the two",
 }
 """Patterns of commands that are not run here, with the reason."""

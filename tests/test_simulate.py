@@ -19,7 +19,7 @@ from fiplib.mpc import Status
 from fiplib.params import AXES, GRAVITY, PHI, THETA, A, B, Params, X, Y
 from fiplib.pilot import Command
 from fiplib.recording import EPOCH, Event, Flight, MemoryRecorder, Poses, Series
-from fiplib.references import Circle, Hover
+from fiplib.references import Circle, Hover, Multisine
 from fiplib.simulate import SCENARIOS, LengthUpdates, Mocap, Plant, Push, Scenario, SimulatedVehicle, fly
 from fiplib.studies.step_errors import one_step_errors, true_states
 
@@ -279,3 +279,37 @@ def test_a_flight_is_the_same_to_the_bit_whatever_numpy_chooses_for_the_cpu(name
         assert run.returncode == 0, run.stderr
         here = fly(dataclasses.replace(SCENARIOS[scenario], duration=seconds))
         assert run.stdout.strip() == digest(here)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "needed"),
+    [
+        ({"duration": 0.0}, "duration"),
+        ({"duration": math.nan}, "duration"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
+        ({"pushes": (Push(1.0, (math.nan, 0.0)),)}, "impulses"),
+        ({"pushes": (Push(1.0, (0.01, 0.0), 0.0),)}, "last longer"),
+        ({"pushes": (Push(-1.0, (0.01, 0.0)),)}, "from 0 s on"),
+        ({"pushes": (Push(math.nan, (0.01, 0.0)),)}, "from 0 s on"),
+        ({"pushes": (Push(2.0, (0.01, 0.0)), Push(1.0, (0.01, 0.0)))}, "after the end"),
+        ({"pushes": (Push(1.0, (0.01, 0.0), 0.5), Push(1.2, (0.01, 0.0)))}, "after the end"),
+        ({"told_lengths": ((2.0, 0.8), (1.0, 0.9))}, "order of time"),
+        ({"told_lengths": ((math.nan, 0.8),)}, "order of time"),
+    ],
+)
+def test_a_scenario_of_which_a_part_would_silently_not_be_flown_is_refused(wrong, needed):
+    with pytest.raises(ValueError, match=f"scenario 'odd' needs .*{needed}"):
+        Scenario(**{"name": "odd", "description": "", "duration": 3.0, "reference": Hover()} | wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"ramp": -1.0}, {"ramp": 0.0}, {"period": 0.0}, {"period": math.nan}])
+def test_a_circle_that_would_run_away_is_refused(wrong):
+    with pytest.raises(ValueError, match="of a circle must be a number above 0"):
+        Circle(**{"radius": 0.4, "period": 8.0} | wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"frequency": 0.0}, {"ramp": -1.0}, {"fade": 0.0}, {"fade": math.inf}])
+def test_a_multisine_that_would_stand_still_is_refused(wrong):
+    with pytest.raises(ValueError, match="of a multisine must be a number above 0"):
+        Multisine(**{"frequency": 0.2, "x": (0.1, 0.0), "y": (0.0, 0.1)} | wrong)

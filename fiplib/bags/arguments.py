@@ -1,4 +1,4 @@
-"""The subcommands of ``fip bag`` and what they take."""
+"""The subcommands of ``fip bag`` and their arguments."""
 
 import argparse
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from fiplib.recording import ROLES
 def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add info, length, cut, export, recover and convert; return the parser of length, which takes more."""
     commands: Any = parser.add_subparsers(dest="command", required=True)
-    info = commands.add_parser("info", help="say what a bag holds, and check it")
-    info.add_argument("--explain", action=_Explain, help="say what to record and what each check means, and stop")
-    length = commands.add_parser("length", help="say how long the rod is, from the two tracked bodies alone")
+    info = commands.add_parser("info", help="describe the contents of a bag, and check it")
+    info.add_argument("--explain", action=_Explain, help="print advice on recording, explain each check, and exit")
+    length = commands.add_parser("length", help="estimate the length of the rod from the two tracked bodies alone")
     cut = commands.add_parser("cut", help="write a stretch of a bag into a new one")
     export = commands.add_parser("export", help="write states, poses or estimates into a CSV, Parquet or NPZ file")
     for command in (info, length, cut, export):
@@ -28,20 +28,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
                              help=f"remap a topic; roles: {', '.join(ROLES)}")  # fmt: skip
         if command is cut:
             continue
-        poses = command.add_argument_group("conventions of the poses", "Where they differ from z up, metres, x y z w.")
+        poses = command.add_argument_group("conventions of the poses", "If not z up, metres, x y z w.")
         poses.add_argument("--up", choices=UPWARDS, help="axis that points up; a minus as in --up=-z, which is NED")
-        poses.add_argument("--unit", choices=UNITS, help="of positions")
-        poses.add_argument("--swap", action="store_true", help="what was taken for the vehicle is the rod")
-        poses.add_argument("--stamps", choices=("log",), help="the times of logging stand for the stamps of poses")
+        poses.add_argument("--unit", choices=UNITS, help="unit of positions")
+        poses.add_argument("--swap", action="store_true", help="exchange the vehicle and the rod")
+        poses.add_argument("--stamps", choices=("log",), help="use the times of logging as stamps of the poses")
         poses.add_argument("--quaternion", action="append", default=[], metavar="[BODY=]ORDER", type=_orders,
-                           help=f"{', '.join(QUATERNIONS)}; of one body with vehicle= or pendulum=")  # fmt: skip
+                           help=f"{', '.join(QUATERNIONS)}; for one body with vehicle= or pendulum=")  # fmt: skip
     cut.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
                      help="s after the first pose (default: 0)")  # fmt: skip
     cut.add_argument("--to", dest="end", type=float, metavar="S", help="s after the first pose (default: the end)")
     cut.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-cut)")
     export.add_argument("--to", dest="file", type=Path, required=True, metavar="FILE",
                         help=f"file to create; its name ends in {', '.join(FORMATS)}")  # fmt: skip
-    export.add_argument("--what", choices=tuple(TABLES), default="states", help="which numbers (default: states)")
+    export.add_argument("--what", choices=tuple(TABLES), default="states", help="table to export (default: states)")
     rescue = commands.add_parser("recover", help="write what is left of a damaged or unfinished bag into a new one")
     rescue.add_argument("bag", type=Path, help="directory of a ROS 2 bag, or a bare .mcap file; it is not changed")
     rescue.add_argument("--output", type=Path, metavar="NEW", help="folder of the new bag (default: BAG-recovered)")
@@ -50,26 +50,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     convert.add_argument(
         "--output", type=Path, metavar="BAG", help="folder of the new bag (default: SOURCE, no suffix)"
     )
-    table = convert.add_argument_group("CSV files", "What an export of Motive or Vicon does not say itself.")
+    table = convert.add_argument_group("CSV files", "Conventions that the file does not state itself.")
     table.add_argument("--columns", metavar="MAPPING",
                        help="which column is what, by names in the header or numbers from 1: time=, vehicle= and "
                             f"pendulum=, each body with its {', '.join(POSE)}, all between commas; frame= in place of "
                             "time= takes frame numbers, with --rate")  # fmt: skip
-    table.add_argument("--unit", choices=sorted(UNITS), help="of positions (default: the header's, else m)")
+    table.add_argument("--unit", choices=sorted(UNITS), help="unit of positions (default: the header's, else m)")
     table.add_argument("--up", choices=("y", "z"), help="axis that points up (default: y for Motive, else z)")
-    table.add_argument("--rate", type=float, metavar="HZ", help="of frames, in place of a column of times")
+    table.add_argument("--rate", type=float, metavar="HZ", help="frame rate, in place of a column of times")
     table.add_argument("--vehicle", metavar="NAME", help="body that is the vehicle (default: by its name)")
     table.add_argument("--pendulum", metavar="NAME", help="body that is the rod (default: by its name)")
     return length
 
 
 def stated(options: argparse.Namespace) -> Stated:
-    """Return what the options of convert say of a CSV file."""
+    """Return the conventions of a CSV file that the options of convert state."""
     return Stated(*(getattr(options, name) for name in Stated._fields))
 
 
 def reading(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the options of info, length and export say of a bag: keyword arguments of ``bags.read``."""
+    """Return the conventions that the options of info, length and export state: keyword arguments of ``bags.read``."""
     orders: dict[str, str] = {}
     for told in options.quaternion:
         orders |= told

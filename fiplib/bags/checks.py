@@ -1,8 +1,8 @@
-"""Is this a plausible flight of a vehicle and its rod? What speaks against it, and what mends it.
+"""Checks whether a recording is a plausible flight of a vehicle and its rod: each fault with its remedy.
 
 Each check compares two things the recording says of one quantity: the tilt with the acceleration, the rod's axis with
-the direction to it, a body's stamps with the log's. So a wrong convention is found from the motion, without a word
-from anybody. What a check finds is mended before the next one looks: all cures together mend the flight.
+the direction to it, a body's stamps with the log's. So a wrong convention is found from the motion alone. A fault
+is corrected before the next check: all remedies together correct the flight.
 """
 
 import math
@@ -30,7 +30,7 @@ LATEST = 1.5e-3
 """The stamps of both bodies may differ by this much, s."""
 
 LEAST_RATE = 45.0
-"""Poses that come less often than this, Hz, hardly tell how a rod falls."""
+"""Least rate of poses, Hz: at a lower one they hardly show how a rod falls."""
 
 LONGEST_DELAY = 0.25
 """A vehicle turns as commanded within this time, s."""
@@ -45,14 +45,14 @@ _NAMES = {"vehicle": "vehicle", "pendulum": "rod"}
 
 
 class Finding(NamedTuple):
-    """What speaks against a flight."""
+    """A reason to doubt a recording."""
 
     name: str
     """A key of ``EXPLANATIONS``."""
     sentence: str
-    """What is wrong and what to do about it."""
+    """The fault and its remedy."""
     cure: dict[str, Any]
-    """Keyword arguments of ``bags.read`` that mend it; empty if none does."""
+    """Keyword arguments of ``bags.read`` that correct it; empty if none does."""
     refuses: bool
     """Whether a length would be meaningless."""
 
@@ -181,7 +181,7 @@ def _delay(flight: Flight, tried: _Tried) -> Iterator[Finding]:
 
 
 def _behind(flight: Flight) -> float:
-    """By how many s the rod's stamps are late against the vehicle's; 0 if they are not, or it cannot be told."""
+    """Return the delay of the rod's stamps against the vehicle's, s; 0 if there is none, or it cannot be determined."""
     found = motion.leaning(flight.vehicle, flight.pendulum)
     if found is None or not found.proven or abs(found.late[0]) < max(LATEST, 5.0 * found.late[1]):
         return 0.0
@@ -220,7 +220,7 @@ def _up(flight: Flight, tried: _Tried) -> Iterator[Finding]:
 
 
 def _flies(flight: Flight) -> bool:
-    """Whether the vehicle is seen to accelerate to where it tilts."""
+    """Return whether the vehicle is seen to accelerate to where it tilts."""
     moved = motion.thrust(flight.vehicle)
     return moved is not None and moved.proven and moved.scale > 0 and abs(moved.turn) < 1.0
 
@@ -258,8 +258,8 @@ def _body(flight: Flight, body: str) -> Poses:
 
 
 def _attitude(poses: Poses, vehicle: Poses | None) -> tuple[str | None, bool]:
-    """What is wrong with the attitude of the vehicle, or of the rod on a ``vehicle``, or None; and whether the motion
-    was enough to say so."""
+    """Return the fault in the attitude of the vehicle, or of the rod on a ``vehicle``, or None; and whether the motion
+    was enough to decide."""
     if np.ptp(poses.orientation, axis=0).max() < 1e-9:
         return "orientation never changes: track it as a body of several markers", True
     if vehicle is None:
@@ -341,7 +341,7 @@ def _distance(flight: Flight, tried: _Tried) -> Iterator[Finding]:
                       {}, False)  # fmt: skip
     if distance < LEAST_ARM:
         yield Finding("rod point", f"the rod is tracked {100 * distance:.0f} cm from the vehicle, at its foot: its "
-                      "orientation alone tells its length, if it is uniform; track its middle", {}, False)  # fmt: skip
+                      "orientation alone determines its length, if uniform; track its middle", {}, False)  # fmt: skip
 
 
 def _speed(flight: Flight, tried: _Tried) -> Iterator[Finding]:

@@ -69,7 +69,7 @@ class Copy:
 
     @property
     def topics(self) -> dict[str, str]:
-        """The topics by name, with their types."""
+        """Return the topics by name, with their types."""
         return dict(self._links.keys())
 
     def put(self, piece: Piece, topics: Mapping[int, int]) -> None:
@@ -116,7 +116,7 @@ class Copy:
         return noting
 
     def _unpacked(self, piece: Piece, numbers: NDArray) -> tuple[Piece, NDArray]:
-        """The piece with every message unpacked, without those that are damaged."""
+        """Return the piece with every message unpacked, without those that are damaged."""
         messages = []
         for number, time, start, end in zip(numbers, piece.time, piece.start, piece.end, strict=True):
             try:
@@ -188,7 +188,7 @@ class Copy:
 
 
 def _packed(piece: Piece) -> NDArray:
-    """Which messages were compressed one by one, (n,) bool."""
+    """Return which messages were compressed one by one, (n,) bool."""
     view = np.frombuffer(piece.content, np.uint8)
     long = piece.end - piece.start >= len(ZSTD)
     at = np.where(long, piece.start, 0)[:, None] + np.arange(len(ZSTD))
@@ -197,7 +197,7 @@ def _packed(piece: Piece) -> NDArray:
 
 @functools.cache
 def _type_hash(kind: str, definition: str) -> str:
-    """The hash by which ROS 2 names a message definition."""
+    """Return the hash by which ROS 2 names a message definition."""
     with suppress(Exception):  # a definition that the library cannot parse: no reader of bags needs the hash
         return definitions(kind, definition).hash_rihs01(kind)
     return f"RIHS01_{0:064}"

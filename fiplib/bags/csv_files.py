@@ -34,16 +34,16 @@ Row = tuple[int, list[str]]
 
 
 class Stated(NamedTuple):
-    """What the caller says of a file; None where the file or a default says it."""
+    """The conventions of a file as stated by the caller; None where the file or a default decides."""
 
     columns: str | None = None
-    """Which column is what, as in ``MAPPING``; ``frame=`` in place of ``time=`` with a rate."""
+    """The meaning of the columns, as in ``MAPPING``; ``frame=`` in place of ``time=`` with a rate."""
     unit: str | None = None
-    """Of positions: a key of ``UNITS``."""
+    """The unit of positions: a key of ``UNITS``."""
     up: str | None = None
     """The axis that points up, "y" or "z"."""
     rate: float | None = None
-    """Of frames, Hz."""
+    """The frame rate, Hz."""
     vehicle: str | None = None
     pendulum: str | None = None
     """Names of the bodies."""
@@ -53,7 +53,7 @@ NOTHING = Stated()
 
 
 class _Layout(NamedTuple):
-    """Where a file holds what. Columns count from 0."""
+    """The places of the columns in a file, counted from 0."""
 
     kind: str
     first: int
@@ -182,7 +182,7 @@ def _vicon(source: Path, head: Sequence[Row], axes: int) -> _Layout:
 
 
 def _mapped(source: Path, head: Sequence[Row], mapping: str) -> _Layout:
-    """The layout that ``--columns`` describes."""
+    """Return the layout that ``--columns`` describes."""
     named: dict[str, list[str]] = {}
     key = ""
     for item in mapping.split(","):
@@ -267,14 +267,14 @@ def _stamps(
     values: np.ndarray,
     notes: list[str],
 ) -> np.ndarray:
-    """The time of each row in ns, from the time column, or from the rate and the frame numbers or rows."""
+    """Return the time of each row in ns, from the time column, or from the rate and the frame numbers or rows."""
     rate = stated.rate if stated.rate is not None else layout.rate
     if stated.rate is None and layout.time is not None:
         seconds, words = times[:, 0], f"times are those of column {layout.time + 1}, in s"
     elif rate is None:
         raise BagError(f"{source}: neither a column of times nor a rate: say --rate HZ, or time=T within --columns")
     elif not 0 < rate < np.inf:
-        raise BagError(f"{source}: a rate of {rate:g} Hz is none")
+        raise BagError(f"{source}: a rate of {rate:g} Hz is not positive and finite: correct --rate")
     elif layout.frame is not None:
         seconds, words = (times[:, 1] - times[0, 1]) / rate, f"times are the frame numbers over {rate:g} Hz"
     else:
@@ -321,7 +321,7 @@ def _convert_axes(source: Path, layout: _Layout, stated: Stated, values: np.ndar
 
 
 def _roles(source: Path, poses: dict[str, np.ndarray], stated: Stated, notes: list[str]) -> dict[str, str]:
-    """The body of each role."""
+    """Return the body of each role."""
     if stated.columns is not None:
         if stated.vehicle is not None or stated.pendulum is not None:
             raise BagError(f"{source}: --columns says which body is what: leave --vehicle and --pendulum out")
@@ -351,7 +351,7 @@ def _roles(source: Path, poses: dict[str, np.ndarray], stated: Stated, notes: li
 def _poses(
     source: Path, role: str, lines: np.ndarray, values: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whether a body has a pose in each row (n,), and the poses (n, 7) with unit quaternions."""
+    """Return whether a body has a pose in each row (n,), and the poses (n, 7) with unit quaternions."""
     there = np.isfinite(values).all(axis=1) & values[:, 3:].any(axis=1)
     if not there.any():
         raise BagError(f"{source}: the {role} has no pose in any row")

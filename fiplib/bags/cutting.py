@@ -23,7 +23,7 @@ __all__ = ["Cutting", "cut"]
 
 
 class Cutting(NamedTuple):
-    """What ``cut`` wrote."""
+    """The result of ``cut``."""
 
     source: Path
     output: Path
@@ -33,10 +33,10 @@ class Cutting(NamedTuple):
     """First and last log time of what was written, in s after ``zero``."""
     end: float
     zero: str
-    """What times are counted from."""
+    """The event at which the time is zero."""
 
     def describe(self) -> str:
-        """What was written, in lines."""
+        """Return a summary of the bag that was written, as lines of text."""
         width = max(len(topic) for topic in self.counts)
         return "\n".join([
             f"{'bag':<10} {self.output}",
@@ -136,7 +136,7 @@ def _written(path: Path, bag: Source, output: Path, start: float, end: float | N
 
 
 def _zero(path: Path, bag: Source, topics: dict[str, str]) -> tuple[int, str]:
-    """The log time in ns that times are counted from, and what it is."""
+    """Return the log time in ns that times are counted from, and what it is."""
     with suppress(Exception):  # no bag of a flight, or one whose bodies must be named first
         places, _ = places_of(bag, path, topics)
         firsts = [next(iter(islice(bag.blocks([places[body].topic]), 1))).received.min() for body in BODIES]

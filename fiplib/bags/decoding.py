@@ -104,7 +104,7 @@ class _Form:
         return cls(np.frombuffer(data, np.uint8), fixed, fields, strings)
 
     def fits(self, data: NDArray) -> NDArray:
-        """Which of the messages (n, size) have this form, (n,) bool."""
+        """Return which of the messages (n, size) have this form, (n,) bool."""
         return (data[..., self.fixed] == self.sample[self.fixed]).all(axis=-1)
 
     def take(self, data: NDArray, columns: Sequence[str]) -> NDArray:
@@ -119,12 +119,12 @@ class _Form:
         return np.concatenate(parts, axis=1, dtype=np.float64) if len(parts) > 1 else parts[0].astype(np.float64)
 
     def stamps(self, data: NDArray, name: str) -> NDArray:
-        """The stamps of that name, (n,) int64, ns."""
+        """Return the stamps of that name, (n,) int64, ns."""
         second, nanosecond = (_cut(data, *self.fields[f"{name}.{part}"])[:, 0] for part in ("sec", "nanosec"))
         return second.astype(np.int64) * NANO + nanosecond
 
     def poses(self) -> Iterator[tuple[str, _Pick]]:
-        """The poses in a message, each with the name of its body (empty if it has none)."""
+        """Yield the poses in a message, each with the name of its body (empty if it has none)."""
         for field in self.fields:
             if not (found := _PLACE.fullmatch(field)):
                 continue
@@ -143,7 +143,7 @@ def _cut(data: NDArray, offset: int, number: np.dtype, count: int) -> NDArray:
 
 
 def store_of(stored: Stored) -> Typestore | None:
-    """The definitions with which a topic is decoded; None if neither the bag nor ROS 2 itself has them."""
+    """Return the definitions with which a topic is decoded; None if neither the bag nor ROS 2 itself has them."""
     return _store(stored.type, stored.definition)
 
 
@@ -158,7 +158,7 @@ def _store(kind: str, definition: str) -> Typestore | None:
 
 
 def carries_poses(stored: Stored) -> bool:
-    """Whether messages of a topic hold poses: by their definition, whatever their type is called."""
+    """Return whether messages of a topic hold poses: by their definition, whatever their type is called."""
     store = store_of(stored)
 
     def holds(kind: str, depth: int) -> bool:
@@ -275,7 +275,7 @@ _NAMES = "message {} has other names than the first, or not one position for eac
 
 
 def _gathered(content: NDArray, start: NDArray, size: int) -> NDArray:
-    """The messages of one size that begin at these places, (n, size) bytes."""
+    """Return the messages of one size that begin at these places, (n, size) bytes."""
     if len(start) > 1 and (np.diff(start) == size).all():
         return content[start[0] : start[0] + len(start) * size].reshape(-1, size)
     windows = np.ndarray(len(content) - size + 1, f"V{size}", content, strides=(1,))

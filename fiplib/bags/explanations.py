@@ -1,4 +1,7 @@
-"""What a recording should be like, in words: for ``fip bag info --explain`` and for the page on one's own recording."""
+"""Advice on recording a flight, and an explanation of each finding.
+
+Used by ``fip bag info --explain`` and by docs/your-own-recording.md.
+"""
 
 from textwrap import fill
 
@@ -11,10 +14,10 @@ RECORD = {
     "stamped alike, nor arrive in order, nor at the same rate; lost frames do no harm. Stamps that are all zero are "
     "replaced by the times of logging; `--stamps log` does so for others.",
     "Rate and duration": "100 Hz or more. A balanced rod moves enough to be measured: 2.5 s give about 0.5 % of a 1 m "
-    "rod, a whole flight less. A circle tells more than a hover.",
+    "rod, a whole flight less. A circle is more informative than a hover.",
     "No touching": "A push on the rod or the vehicle is a force that the model does not know: leave that stretch out.",
 }
-"""What to record."""
+"""Advice on what to record."""
 
 EXPLANATIONS = {
     "roles": (
@@ -58,7 +61,7 @@ EXPLANATIONS = {
         "check the topics and the names of the bodies",
     ),
     "rod point": (
-        "The rod is tracked at least 10 cm from its seat; at its foot its orientation alone tells the length of a "
+        "The rod is tracked at least 10 cm from its seat; at its foot its orientation alone determines the length of a "
         "uniform rod.",
         "track its middle",
     ),

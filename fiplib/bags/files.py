@@ -1,4 +1,4 @@
-"""Which files are a recording, and what a file is that is none."""
+"""The files of a recording, and the kind of a file that is not one."""
 
 import re
 import shlex
@@ -97,12 +97,12 @@ def files_of(path: Path, information: Mapping[str, Any], missing: list[str] | No
 
 
 def _plain(name: str) -> str:
-    """The name of a file before it was compressed as a whole."""
+    """Return the name of a file before it was compressed as a whole."""
     return re.sub(r"\.zstd?$", "", name)
 
 
 def _recording(name: str) -> str:
-    """The name of a recording by that of one of its files: ``lab`` for ``lab_3.mcap.zstd``."""
+    """Return the name of a recording by that of one of its files: ``lab`` for ``lab_3.mcap.zstd``."""
     return re.sub(r"(_\d+)?(\.(mcap|db3))?(\.zstd?)?$", "", name)
 
 
@@ -155,7 +155,7 @@ def name_what_it_is(file: Path) -> None:
 
 
 def _text(file: Path) -> str:
-    """What kind of text a file is; empty if it is none."""
+    """Return the kind of text that a file holds; empty if it is not text."""
     with file.open("rb") as stream:
         head = stream.read(512)
     if not head:

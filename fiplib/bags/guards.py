@@ -94,7 +94,7 @@ def words(source: Path | str) -> Any:
 
 
 def lines(stream: TextIO) -> Iterator[str]:
-    """The lines of a text. Raises ValueError for one that is longer than ``LINE``."""
+    """Yield the lines of a text. Raises ValueError for one that is longer than ``LINE``."""
     while line := stream.readline(LINE):
         if len(line) == LINE:
             raise ValueError(f"a line of more than {LINE >> 20} MB")

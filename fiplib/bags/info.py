@@ -1,4 +1,4 @@
-"""What a bag holds, in words."""
+"""A description of the contents of a bag."""
 
 import dataclasses
 from collections.abc import Callable, Mapping

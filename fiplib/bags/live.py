@@ -88,7 +88,7 @@ class LiveRecorder(BagRecorder):
 
     @property
     def pid(self) -> int:
-        """The id of the process that writes."""
+        """Return the id of the process that writes."""
         return self._process.pid
 
     def pose(
@@ -148,7 +148,7 @@ class LiveRecorder(BagRecorder):
         self._backlog.clear()
 
     def _heard(self) -> str:
-        """What the process has said last; empty if nothing."""
+        """Return the last message of the process; empty if there is none."""
         try:
             return os.read(self._answer, 1 << 16).decode().partition("\n")[0]
         except BlockingIOError:
@@ -211,7 +211,7 @@ class _Bag(BagRecorder):
 
 
 def _arrivals(pipe: int) -> Iterator[bytes]:
-    """What comes through the pipe until it is closed; nothing (b"") whenever a chunk is due."""
+    """Yield the bytes that arrive through the pipe until it is closed, and b"" whenever a chunk is due."""
     due = time.monotonic() + PERIOD
     while True:
         if (left := due - time.monotonic()) <= 0:

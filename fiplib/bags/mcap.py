@@ -127,7 +127,7 @@ def piece_of(messages: Collection[tuple[int, int, bytes]]) -> Piece:
 
 
 class Remains:
-    """What is left in one MCAP file.
+    """The readable remains of one damaged MCAP file.
 
     Args:
         path: the file.
@@ -247,7 +247,7 @@ def _walk(content: File) -> Iterator[tuple[int, Any, int]]:
 
 
 def _next(content: File, at: int, channels: Collection[int]) -> int:
-    """Where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
+    """Return where the next chunk, message or metadata record begins that makes sense; else the end of the file."""
     for base in range(at, len(content), _WINDOW):
         window = content[base : base + _WINDOW + 8]
         if not any(opcode in window for opcode in _OPCODES):  # nothing: a sparse file has gigabytes of zeros
@@ -268,7 +268,7 @@ def _next(content: File, at: int, channels: Collection[int]) -> int:
 
 
 def _records_at(content: File, at: int, ended: bool) -> tuple[list[tuple[int, Any]] | None, int]:
-    """The record at a place, or those of the chunk or the messages there, and where they end; None if no sense.
+    """Return the record at a place, or those of the chunk or the messages there, and where they end; None if no sense.
 
     ``ended`` says that the end of the data has passed, and the summary lies here.
     """
@@ -321,7 +321,7 @@ def _framed(content: File, start: int, end: int) -> tuple[int, int, str, int] | 
 
 
 def _unpacked(content: File, start: int, end: int) -> bytes:
-    """The bytes of a chunk. Raises whatever the libraries raise on damage, up to MemoryError."""
+    """Return the bytes of a chunk. Raises whatever the libraries raise on damage, up to MemoryError."""
     size, crc, compression, packed = _framed(content, start, end) or ()
     if max(size, end - packed) > _LARGEST:
         raise ValueError(f"a chunk of {size} bytes")
@@ -339,7 +339,7 @@ def _unpacked(content: File, start: int, end: int) -> bytes:
 
 
 def _messages(raw: bytes, alone: bool = False) -> tuple[Piece, list[int], int]:
-    """The messages among the records of a chunk, the places of other records, and where the last record ends.
+    """Return the messages among the records of a chunk, the places of other records, and where the last record ends.
 
     ``alone`` says that these are no chunk's: what is no message ends them, and so does one that makes no sense.
     """
@@ -370,7 +370,7 @@ def _messages(raw: bytes, alone: bool = False) -> tuple[Piece, list[int], int]:
 
 
 def _inside(content: File, start: int, end: int) -> list[tuple[int, Any]] | None:
-    """The records of a chunk; None if it is damaged."""
+    """Return the records of a chunk; None if it is damaged."""
     try:
         raw = _unpacked(content, start, end)
     except Exception:
@@ -388,7 +388,7 @@ def _inside(content: File, start: int, end: int) -> list[tuple[int, Any]] | None
 
 
 def chunk_at(content: File, at: int) -> Piece:
-    """The messages of the chunk at a place of a file. Raises ValueError if it is damaged."""
+    """Return the messages of the chunk at a place of a file. Raises ValueError if it is damaged."""
     head = _head(content, at)
     try:
         if head and head[0] == _CHUNK:
@@ -405,19 +405,19 @@ def chunk_at(content: File, at: int) -> Piece:
 
 
 def _numbers(view: NDArray, at: NDArray) -> NDArray:
-    """The 8-byte integers at these places, (n,) int64."""
+    """Return the 8-byte integers at these places, (n,) int64."""
     return view[at[:, None] + np.arange(8)].view("<i8")[:, 0]
 
 
 def profile(file: Path) -> str:
-    """What the header of an MCAP file says that its messages are: ``ros2``, or another word."""
+    """Return the profile in the header of an MCAP file: ``ros2``, or another word."""
     with File(file) as content:
         head = _head(content, len(_MAGIC))
         return read_string(BytesIO(content[head[1] : head[2]])) if head and head[0] == 1 else "ros2"
 
 
 def embedded_metadata(source: Path) -> Mapping[str, Any]:
-    """The copy of metadata.yaml's custom data that an MCAP file carries; empty if it carries none.
+    """Return the copy of metadata.yaml's custom data that an MCAP file carries; empty if it carries none.
 
     Raises ValueError if there should be a copy and there is none, or another exception if it cannot be decoded.
     """
@@ -440,7 +440,7 @@ def embedded_metadata(source: Path) -> Mapping[str, Any]:
 
 
 def _custom_data(data: bytes) -> Mapping[str, Any] | None:
-    """The custom data in the metadata record of rosbag2; None in that of somebody else."""
+    """Return the custom data in the metadata record of rosbag2; None in that of somebody else."""
     stream = BytesIO(data)
     if read_string(stream) != "rosbag2":
         return None

@@ -1,6 +1,7 @@
-"""What a bag's poses can be mended of: stamps missing or out of order, frames sent twice, frames without a pose.
+"""Repairs of a bag's poses: stamps missing or out of order, frames sent twice, frames without a pose.
 
-Each mend is said once, with its count; the bag itself is left alone. What could have two causes is not mended.
+Each repair is reported once, with its count; the bag itself is not changed. A fault with two possible causes is not
+repaired.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ def mended(
         body: its name, for the notes.
         stamp, received: (n,) in ns.
         values: (n, 7), position and quaternion.
-        notes: one sentence is added for each mend.
+        notes: one sentence is added for each repair.
 
     Returns:
         The same three, of the frames that hold a pose.

@@ -91,7 +91,7 @@ class Layout(NamedTuple):
 
     @classmethod
     def of(cls, message_type: str, frame: str, names: Sequence[str] = ()) -> "Layout":
-        """The layout of a message type with a header, for one frame id and (JointState) one list of names."""
+        """Return the layout of a message type with a header, for one frame id and (JointState) one list of names."""
         types = typestore().types
         point = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0)
         identity = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -123,7 +123,7 @@ def checksum(entries: Mapping[str, str]) -> str:
 
 
 def genuine(entries: Mapping[str, Any]) -> bool:
-    """Whether a bag's metadata entries are as they were recorded; those of other recorders carry no checksum."""
+    """Return whether a bag's metadata entries are as they were recorded; those of other recorders carry no checksum."""
     rest = {key: value for key, value in entries.items() if key != "checksum"}
     if "checksum" not in entries:
         return "messages" not in rest  # ours never come without

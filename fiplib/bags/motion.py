@@ -1,4 +1,4 @@
-"""How two tracked bodies move, for checks: tilt against acceleration, axis against arm, one clock against the other."""
+"""Relations between the motions of two tracked bodies: tilt and acceleration, axis and arm, one clock and the other."""
 
 import math
 from typing import NamedTuple
@@ -41,12 +41,12 @@ class Relation(NamedTuple):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the effect is mirrored."""
+        """Return whether the effect is mirrored."""
         return bool(np.linalg.det(self.matrix) < 0.0)
 
     @property
     def proven(self) -> bool:
-        """Whether the relation explains the effect and is known well, whatever it is."""
+        """Return whether the relation explains the effect and is known well, whatever it is."""
         size = float(np.linalg.norm(self.matrix)) / math.sqrt(2.0)
         return self.explained > 0.5 and self.deviation < 0.2 * size
 

@@ -54,7 +54,7 @@ def read(
             ``"/tf:quad"`` for one of several bodies in a topic. What is not named and not there is guessed from types
             and names, and said in ``Flight.notes``.
         up, unit, swap, quaternion, stamps: conventions of the poses that differ from ours, as
-            ``conventions.restated`` takes them; ``checks.findings`` says which mend a flight.
+            ``conventions.restated`` takes them; ``checks.findings`` says which correct a flight.
 
     Raises:
         BagError: the bag is missing, damaged, or does not hold what the bag contract says.
@@ -98,7 +98,7 @@ def read(
 
 
 def _damage(path: Path, error: Exception) -> str:
-    """What is wrong with a bag that cannot be read, and what its user can do."""
+    """Return why a bag cannot be read, and what its user can do."""
     unfinished = (path / SIDECAR).exists()
     words = f"damaged or incomplete ({_line(error)})"
     if unfinished:
@@ -135,7 +135,7 @@ def _named(path: Path, place: Place, role: str) -> Iterator[None]:
 
 
 def _gathered(path: Path, source: Source, places: Mapping[str, Place], expected: Mapping[str, int]) -> dict[str, Any]:
-    """The numbers of each role that is recorded. Raises ValueError if messages are missing."""
+    """Return the numbers of each role that is recorded. Raises ValueError if messages are missing."""
     gathered: dict[str, Any] = {}
     for role, place in places.items():
         if (stored := source.topics.get(place.topic)) and stored.count:
@@ -185,7 +185,7 @@ def _metadata(source: Path, entries: Mapping[str, Any]) -> dict[str, Any]:
         except (TypeError, ValueError):
             metadata[key] = value
     if metadata["origin"] not in ORIGINS:
-        raise BagError(f"{source}: its origin {metadata['origin']!r} is none of {', '.join(ORIGINS)}: mend it")
+        raise BagError(f"{source}: its origin {metadata['origin']!r} is none of {', '.join(ORIGINS)}: correct it")
     return metadata
 
 
@@ -291,5 +291,5 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 
 
 def _line(error: BaseException) -> str:
-    """The words of an error on one line; its kind if it has none."""
+    """Return the words of an error on one line; its kind if it has none."""
     return " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__

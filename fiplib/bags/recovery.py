@@ -32,7 +32,7 @@ class Saved(NamedTuple):
 
 
 class Recovery(NamedTuple):
-    """What ``recover`` saved, and what it could not."""
+    """The result of ``recover``: what was saved and what was lost."""
 
     source: Path
     output: Path
@@ -61,12 +61,12 @@ class Recovery(NamedTuple):
 
     @property
     def undamaged(self) -> bool:
-        """Whether there was nothing to recover: the new bag is a copy."""
+        """Return whether there was nothing to recover: the new bag is a copy."""
         lost = self.gaps or self.nameless or self.repeated or self.unreadable or self.missing
         return self.finished and not lost and not any(topic.lost for topic in self.saved)
 
     def describe(self) -> str:
-        """What was saved and what was lost, in lines."""
+        """Return what was saved and what was lost, as lines of text."""
         origin = self.metadata.get("origin", "unknown (nothing that is left says it)").strip('"')
         lines = [
             f"{'recovered':<10} {self.output}",
@@ -135,7 +135,7 @@ def recover(source: str | Path, output: str | Path | None = None) -> Recovery:
 
 
 def intact_messages(source: Path) -> int:
-    """How many messages ``recover`` would save."""
+    """Return how many messages ``recover`` would save."""
     with ExitStack() as stack:
         return sum(sum(rest.counts.values()) for rest in _remains(_files(source, []), stack))
 
@@ -181,7 +181,7 @@ def _nothing(files: Sequence[Path], remains: Sequence[Remains]) -> str:
 
 
 def _qos(metadata: bytes) -> Sequence[Any]:
-    """The quality of service that a channel was offered with; none where a damaged byte makes it unreadable."""
+    """Return the quality of service that a channel was offered with; none where a damaged byte makes it unreadable."""
     try:
         return get_qos(metadata)
     except Exception:  # a length, a letter, a key, a number: whatever the damage hit
@@ -229,7 +229,7 @@ def _rewritten(source: Path, output: Path, remains: Sequence[Remains], missing: 
 
 
 def _entries(source: Path, remains: Sequence[Remains]) -> dict[str, str]:
-    """What the recording says about itself, from the first place where it is undamaged."""
+    """Return the metadata of the recording, from the first place where they are undamaged."""
     folder = source if source.is_dir() else source.parent
     places: list[Callable[[], Any]] = [functools.partial(getattr, rest, "entries") for rest in remains]
     if source.is_dir() or source.stem == folder.name:

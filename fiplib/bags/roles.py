@@ -1,4 +1,4 @@
-"""Which topic of a bag is what: by its default name, by what the caller says, else guessed from types and names."""
+"""The role of each topic of a bag: by its default name or as stated, else guessed from types and names."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ _PEEK = 20  # blocks of a topic in which its bodies are looked for
 
 
 class Place(NamedTuple):
-    """Where a role is recorded: a topic and, where one topic holds several bodies, the name of one."""
+    """The place of a role in a bag: a topic and, where one topic holds several bodies, the name of one."""
 
     topic: str
     body: str = ""
@@ -137,13 +137,13 @@ def two_bodies(heights: Mapping[Place, float], missing: list[str]) -> dict[str, 
 
 
 def _only(places: Sequence[_T]) -> _T | None:
-    """The one in the list, or the one that motion capture measured; None if there is none, or a doubt."""
+    """Return the one in the list, or the one that motion capture measured; None if there is none, or a doubt."""
     measured = [place for place in places if _MOCAP.search(str(place).lower())]
     return next((found[0] for found in (places, measured) if len(found) == 1), None)
 
 
 def _bodies(source: Source, topic: str) -> dict[str, float]:
-    """The bodies of a topic, each with its first height in m; one without a name where a message is one pose."""
+    """Return the bodies of a topic, each with its first height in m; one without a name where a message is one pose."""
     decoder = Decoder(source.topics[topic])
     with suppress(Exception):  # damage is found, and named, where the topic is read
         for block in islice(source.blocks([topic]), _PEEK):

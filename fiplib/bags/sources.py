@@ -45,7 +45,7 @@ class Block(NamedTuple):
 
 
 class Stored(NamedTuple):
-    """What a bag says about one topic."""
+    """One topic of a bag."""
 
     type: str
     count: int
@@ -108,7 +108,7 @@ def opened(path: Path) -> Iterator[Source]:
         storages.sort(key=lambda storage: storage.metadata.start_time)
         spans = [storage.metadata for storage in storages]
         if not information and any(one.end_time > other.start_time + 1 for one, other in pairwise(spans)):
-            raise BagError(f"{path}: its {len(storages)} files overlap in time: give the one that is meant")
+            raise BagError(f"{path}: its {len(storages)} files overlap in time: name one of them instead")
         counts: Counter[str] = Counter()
         topics: dict[str, Stored] = {}
         for link in (link for storage in storages for link in storage.connections):
@@ -131,7 +131,7 @@ def _storage(file: Path) -> McapReader | Sqlite3Reader:
 
 
 def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: int = 1 << 63) -> Iterator[Piece]:
-    """Of every chunk that holds what is wanted between two log times in ns, unpacked and checked, its messages."""
+    """Yield every chunk that holds wanted messages between two log times in ns, unpacked and checked."""
     with File(Path(storage.path)) as file:
         for info in sorted(storage.chunks, key=lambda info: info.chunk_start_offset):
             if info.channel_count and not any(info.channel_count.get(channel) for channel in wanted):
@@ -141,7 +141,7 @@ def _chunks(storage: McapReader, wanted: Collection[int], start: int = 0, stop: 
 
 
 def _blocks(storage: McapReader | Sqlite3Reader, wanted: Mapping[int, Connection]) -> Iterator[Block]:
-    """The messages of some topics, a block for each topic of each chunk."""
+    """Yield the messages of some topics, a block for each topic of each chunk."""
     chunked = isinstance(storage, McapReader) and storage.chunks
     for piece in _chunks(storage, wanted) if chunked else _batches(storage, wanted):
         for channel, link in wanted.items():
@@ -169,7 +169,7 @@ def _batches(
 
 
 def _decompressed(block: Block) -> Block:
-    """The block with every message unpacked that was compressed by itself."""
+    """Return the block with every message unpacked that was compressed by itself."""
     contents = [unpacked(block.message(index)) for index in range(len(block.start))]
     end = np.cumsum([len(content) for content in contents])
     return Block(block.topic, block.received, b"".join(contents), np.append(0, end[:-1]), end)

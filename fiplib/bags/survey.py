@@ -1,4 +1,4 @@
-"""What there is in any bag of ROS 2, whether it holds a flight or not: topics, rates, stamps, frames."""
+"""The contents of any ROS 2 bag, whether it holds a flight or not: topics, rates, stamps, frames."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -137,7 +137,7 @@ def _stamps(source: Source) -> dict[str, Stamps]:
 
 
 def _has_header(stored: Stored) -> bool:
-    """Whether messages begin with a header, by their definition."""
+    """Return whether messages begin with a header, by their definition."""
     store = store_of(stored)
     fields = store.fielddefs[stored.type][1] if store and stored.type in store.fielddefs else []
     return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
@@ -158,7 +158,7 @@ def _frame(message: bytes) -> str:
 
 
 def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    """The cells of a table in columns: words to the left, numbers to the right."""
+    """Return the cells of a table in columns: words to the left, numbers to the right."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     numbers = [
         all(row[column][:1].isdigit() or row[column][:1] in "-+" for row in rows[1:]) for column in range(len(widths))

@@ -29,7 +29,7 @@ TABLES = {
     "references": "reference",
     "truth": "truth_state",
 }
-"""What can be written, and the role of a bag that it comes from; poses come from both bodies."""
+"""The tables that can be written, and the role of the bag that each comes from; poses come from both bodies."""
 
 _ROWS = 1 << 15  # rows of a CSV file that are made at once: Python's numbers take much more memory than NumPy's
 

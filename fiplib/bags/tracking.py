@@ -1,4 +1,4 @@
-"""Poses that are none: repeated, mistracked, or beyond a gap that nothing bridges."""
+"""Invalid poses: repeated, mistracked, or beyond a gap that nothing bridges."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -17,7 +17,7 @@ _MEDIAN = 9  # poses of which the median is taken, against which a mistracked on
 
 
 class Lost(NamedTuple):
-    """What is left out of the poses of one body, (n,) bool each, and where the stretch that is used lies."""
+    """The poses of one body that are left out, (n,) bool each, and the stretch that is used."""
 
     repeated: NDArray
     """In every digit as the one before: no new measurement."""
@@ -52,7 +52,7 @@ def lost(flight: Flight) -> tuple[Lost, Lost]:
 
 
 def tracked(flight: Flight) -> Flight:
-    """Return the flight without the poses that are none; the flight itself if there are no such."""
+    """Return the flight without its invalid poses; the flight itself if there are none."""
     if min(len(flight.vehicle.stamp), len(flight.pendulum.stamp)) < 2:
         return flight
     vehicle, rod = (one.any for one in lost(flight))
@@ -71,7 +71,7 @@ def _stray(position: NDArray, distance: float) -> NDArray:
 
 
 def _stretch(stamps: list[NDArray]) -> tuple[int, int]:
-    """The longest time in which no body has a gap, from stamp to stamp in ns."""
+    """Return the longest time in which no body has a gap, from stamp to stamp in ns."""
     if not all(len(stamp) for stamp in stamps):
         return 0, 0
     start, end = max(int(stamp[0]) for stamp in stamps), min(int(stamp[-1]) for stamp in stamps)

@@ -35,7 +35,7 @@ RESERVE = 4 << 20
 
 
 def open_bag(path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Writer:
-    """The library's writer of a new bag, compressed if MCAP. Raises BagError if it cannot be written there."""
+    """Return the library's writer of a new bag, compressed if MCAP. Raises BagError if it cannot be written there."""
     try:
         # Version 8 of metadata.yaml is read by ROS 2 Humble, Iron, Jazzy and later alike.
         writer = Writer(path, version=8, storage_plugin=storage)

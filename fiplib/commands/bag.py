@@ -1,4 +1,4 @@
-"""``fip bag``: what a bag holds, how long its rod was; cut, export or recover it, convert recordings of other kinds."""
+"""``fip bag``: describe a bag, estimate its rod's length; cut, export or recover it, convert other recordings."""
 
 import argparse
 import math

@@ -55,7 +55,12 @@ def controller_of(params: Params) -> Controller:
 
 
 def answer(rates: NDArray, limit: float, status: Status = Status.OPTIMAL) -> Solution:
-    """Return body rates (2,) in rad/s, cut off at ``limit``, as a solution without a plan: one input, no states."""
+    """Return body rates (2,) in rad/s, cut off at ``limit``, as a solution without a plan: one input, no states.
+
+    Raises ValueError: they are not finite.
+    """
+    if not np.isfinite(rates).all():
+        raise ValueError(f"no finite body rates, but {rates}: state, reference and length must be finite")
     inputs = np.clip(rates, -limit, limit)[None]
     bounded = bool((np.abs(rates) > limit).any())
     return Solution(inputs[0], inputs, np.empty((0, len(STATES))), status, bounded)

@@ -36,7 +36,7 @@ from fiplib.mpc import Solution
 from fiplib.params import A_DOT, B_DOT, GRAVITY, PHI, THETA, X_DOT, Y_DOT, A, B, Params, X, Y
 
 CALMER, QUICKER = 3.0, 2.0
-"""How far the poles of the rod's mass and of the thrust's direction lie from those of the rod's direction.
+"""Ratio of the poles of the rod's direction to those of its mass, and of those of the thrust's direction to them.
 
 The cheapest feedback reflects the unstable pole; the MPC's closed loop has poles at 1/2.8 (x) and 1/4.8 (y), 1 and 1.4
 times that rate, and ours are near these. Chosen on flights of seed 1: with 1.5 for 2, pushes are not survived with

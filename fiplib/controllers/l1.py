@@ -1,4 +1,4 @@
-"""The paper's MPC with an L1 adaptive augmentation: what the model does not explain is taken off its rate commands.
+"""The paper's MPC with an L1 adaptive augmentation, which compensates the estimated model error in the rate commands.
 
 Per axis (``params.AXES``) a state predictor runs beside the MPC on z = (s', d', tilt), with l the length in use:
 
@@ -37,7 +37,7 @@ PREDICTOR = 5.0
 """Decay rate of the predictor's error, 1/s: about that at which the rod falls."""
 
 _MATCHED = np.array([[GRAVITY, 0.0, 0.0], [-GRAVITY, GRAVITY, 0.0], [0.0, 0.0, 1.0]])
-"""B: how (sigma_a, sigma_b, sigma_r) act on z'."""
+"""The matrix B, by which (sigma_a, sigma_b, sigma_r) act on z'."""
 
 
 class L1AugmentedMPC:

@@ -24,7 +24,7 @@ POPULATION, GENERATIONS, SEED = 60, 40, 1
 LENGTHS = (0.75, 1.0, 1.25)
 """Lengths in use, m, of a rod of 1 m."""
 SECONDS, PUSH = 6.0, 0.2
-"""How long a loop is followed after a push that gives the rod's COM a velocity, m/s: one of about 8 mN s."""
+"""Time for which a loop is followed after a push that gives the rod's COM a velocity, m/s: one of about 8 mN s."""
 LARGE = (0.2, 0.05, 1.0)
 """Position in m, offset of the rod in m and rate in rad/s whose squares weigh the same in the cost."""
 
@@ -49,7 +49,7 @@ class _Regulator:  # a margins.Regulator
         self._weights = weights
 
     def prepare(self, length: float) -> list[_First]:
-        """The gain of both axes, (1, 5)."""
+        """Return the gain of both axes, (1, 5)."""
         return [_First(gain(length, self._weights)[None])] * 2
 
 

@@ -1,4 +1,4 @@
-"""Linear analysis of one axis of the closed loop, delay and lag included: is it stable, and with how much to spare?
+"""Linear analysis of one axis of the closed loop, delay and lag included: stability and its margins.
 
 Between two control ticks everything in the loop is linear and runs on a fixed grid: the plant's substeps, the frames of
 motion capture, the ticks. So the loop from tick to tick is one matrix, without approximation of delay or sampling:
@@ -72,7 +72,7 @@ class LinearLoop:
 
     @functools.cached_property
     def eigenvalues(self) -> NDArray:
-        """Of the closed loop per control period, largest magnitude first."""
+        """Return the eigenvalues of the closed loop over one control period, largest magnitude first."""
         values = np.linalg.eigvals(self.open_loop.A - self.open_loop.B @ self.open_loop.C)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -153,7 +153,7 @@ class Gains(Protocol):
 
 
 class Regulator(Protocol):
-    """What gives the gains of both axes for a length in use: the MPC, or another linear controller."""
+    """A linear controller, such as the MPC, that returns the gains of both axes for a length in use."""
 
     def prepare(self, length: float) -> Sequence[Gains]: ...
 
@@ -165,7 +165,7 @@ def closed_loop(used_length: float, params: Params, mpc: Regulator | None = None
     rods. Raises ValueError: rates are no whole multiples of each other, or the pendulum is not measured by position.
     """
     if params.piloting.pendulum_measurement != "position":
-        raise ValueError("the linear loop knows the reading pendulum_measurement = 'position' only")
+        raise ValueError("the linear loop needs piloting.pendulum_measurement = 'position'")
     rates = params.simulation.plant_rate, params.piloting.mocap_rate, params.piloting.control_rate
     substeps, frames = (round(fast / slow) for fast, slow in itertools.pairwise(rates))
     if not math.isclose(rates[0], substeps * rates[1]) or not math.isclose(rates[1], frames * rates[2]):

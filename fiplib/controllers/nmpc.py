@@ -13,8 +13,8 @@ w = (x_0, u_0, x_1, ..., x_N), multiple shooting. At every tick the plan of the 
 
 is solved by HPIPM, which uses the block structure of A; w + dw is the next plan. H is the Gauss-Newton matrix. The soft
 bounds of the states are a cost, slack_weight * max(|x| - bound, 0)^2: the value of the slack's minimum, so it is the
-MPC's problem; which of them count is taken from the plan that is linearised. The first plan, and the one after a
-failure, is the MPC's. There is nothing to tune. A tick takes 4.4 ms of one core, half of them in HPIPM.
+MPC's problem; the active ones are those of the plan that is linearised. The first plan, and the one after a
+failure, is the MPC's. It has no parameters of its own. A tick takes 4.4 ms of one core, half of them in HPIPM.
 
 Source: M. Diehl, H. G. Bock, J. P. Schloeder, "A real-time iteration scheme for nonlinear optimization in optimal
 feedback control", SIAM J. Control Optim. 43(5), 2005, doi:10.1137/S0363012902400713; S. Gros et al., "From linear to
@@ -38,7 +38,7 @@ STATE, STAGE = len(STATES), len(STATES) + len(INPUTS)
 
 
 def exact_model() -> ca.Function:
-    """The exact model x' = f(x, u, l) in the states and inputs of the prediction model, as a CasADi function."""
+    """Return the exact model x' = f(x, u, l) in the states and inputs of the prediction model, as a CasADi function."""
     x, u, length = ca.SX.sym("x", STATE), ca.SX.sym("u", len(INPUTS)), ca.SX.sym("l")
     phi, theta = x[PHI], x[THETA]
     seat = ca.vertcat(GRAVITY * ca.tan(theta) / ca.cos(phi), -GRAVITY * ca.tan(phi), 0)

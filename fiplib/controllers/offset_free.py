@@ -13,7 +13,7 @@ Riccati equation of the length in use. *Target.* The steady state in which the v
 exists and is unique whatever w is. *Regulation.* Deviations from the target obey the model without w, so the paper's
 MPC of x - x_t, with the same weights and ``mpc.MPC``'s exact solver, gives u - u_t. (Bounds are of the deviations.)
 Where the loop settles, the estimates are those that explain the measurement, and the vehicle's offset is zero, whatever
-the cause: wind, a tilted thrust axis, a rod that is bent. That asks for as many disturbances as tracked outputs; two
+the cause: wind, a tilted thrust axis, a rod that is bent. This needs as many disturbances as tracked outputs; two
 more keep forces on the rod and rate errors out of w_a.
 
 The noises of z are those of the length estimator (``params.estimation``), and the rod's equation is taken to be
@@ -38,7 +38,7 @@ from fiplib.mpc import CACHED_LENGTHS, MPC, Solution
 from fiplib.params import AXES, GRAVITY, Params
 
 ROD_MODEL = 30.0
-"""Variance of what the rod's equation leaves out over ``estimation.process_noise``: 0.018 m^2/s^3, an error of
+"""Variance of the error of the rod's equation over ``estimation.process_noise``: 0.018 m^2/s^3, an error of
 0.3 m/s^2 that changes within 0.2 s, as an inertia factor of 3/4 for 1 makes at a tilt of 7 degrees."""
 
 NOISE_PERIOD = 0.1
@@ -70,7 +70,13 @@ class OffsetFreeMPC:
             process[3] *= ROD_MODEL
             process = np.append(process, shares * process[[1, 3, 4]])
             measured = np.diag(np.array(estimation.measurement_noise)[states])
-            covariance = solve_discrete_are(transition.T, np.eye(8, 5), np.diag(process) * self._period, measured)
+            try:
+                covariance = solve_discrete_are(transition.T, np.eye(8, 5), np.diag(process) * self._period, measured)
+            except np.linalg.LinAlgError as error:
+                raise ValueError(
+                    "offset_free_mpc has no filter with these estimation.process_noise and measurement_noise: "
+                    "no variance may be zero"
+                ) from error
             gains.append(np.linalg.solve(covariance[:5, :5] + measured, covariance[:5]).T)
         return transition, discrete[:8, 8], np.array(gains)
 

@@ -1,4 +1,4 @@
-"""What all estimators share: the estimate, an entry of the registry, the prior. Imports no solver."""
+"""The common parts of all estimators: the estimate, an entry of the registry, the prior. Imports no solver."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What keeps an estimator from an answer that means nothing: implausible flights before it, its residuals after it."""
+"""Checks that refuse a meaningless estimate: implausible flights before the fit, its residuals after it."""
 
 import math
 from dataclasses import replace
@@ -61,7 +61,7 @@ def _at_an_end(found: Estimate, params: Params) -> str | None:
         return None
     return (
         f"the best length is at the end of the interval from {low:g} to {high:g} m that was searched: the window does "
-        "not tell the length, or the rod is of another; take a longer window, or widen the interval"
+        "not determine the length, or the rod's length is outside; take a longer window, or widen the interval"
     )
 
 

@@ -1,4 +1,4 @@
-"""How well anybody could do: the Cramer-Rao bound of the length from a stretch of motion capture.
+"""The Cramer-Rao bound of the length from a stretch of motion capture: no unbiased estimator does better.
 
 The simulated vehicle has no process noise: what is measured is a deterministic trajectory of the coupled plant, fixed
 by the state at its first frame, the length, and the commands, plus the independent noise of motion capture. The Fisher
@@ -33,8 +33,8 @@ from fiplib.recording import BagError, Flight
 
 CALIBRATION = "calibration"
 NUISANCES = (CALIBRATION, "inertia_factor", "rate_lag")
-"""What may be unknown beside the state and the length: how the markers sit (``OFFSETS``), lambda of the rod, and the
-first-order lag of the inner loop in s."""
+"""Quantities that may be unknown beside the state and the length: marker offsets (``OFFSETS``), lambda of
+the rod, and the first-order lag of the inner loop in s."""
 
 REBASE = 24
 """Frames between two changes of the basis: 0.1 s, in which the rod's fall grows by a factor of about 1.5."""
@@ -57,7 +57,7 @@ class Motion(NamedTuple):
 
 
 def motion(flight: Flight, start_ns: int | None = None, end_ns: int | None = None) -> Motion:
-    """The true trajectory of a simulated flight between two times of exposure, heading along x.
+    """Return the true trajectory of a simulated flight between two times of exposure, heading along x.
 
     Raises BagError: the flight holds no truth or no commands.
     """
@@ -131,10 +131,10 @@ def cramer_rao(
 COMMANDS = 4
 
 DYNAMIC = ("inertia_factor", "rate_lag", "com_height", "mass_ratio", "length")
-"""What the plant depends on and an estimate from poses alone does not know."""
+"""Parameters of the plant that an estimate from poses alone does not know."""
 
 CONSTANTS = np.array([0.02, 0.02, 0.1, 0.1, 0.1, 0.1])
-"""How well the calibration is known: of the rod's tracked point beside its axis, m, of the vehicle's body frame and of
+"""Standard deviations of the calibration: the rod's tracked point beside its axis, m, the vehicle's body frame and
 the rod's, rad, each along x and y."""
 
 
@@ -245,7 +245,7 @@ def _rebased(sensitivity: NDArray, triangle: NDArray) -> tuple[NDArray, NDArray]
 
 
 def _tangents(state: NDArray) -> NDArray:
-    """The ways (20, 17) in which a state can differ from this one and still be a state."""
+    """Return the ways (20, 17) in which a state can differ from this one and still be a state."""
     x, y, z, w = state[PLANT["attitude"]]
     q, q_dot = state[PLANT["direction"]], state[PLANT["direction_rate"]]
     across = np.linalg.svd(q[None])[2][1:].T
@@ -259,10 +259,10 @@ def _tangents(state: NDArray) -> NDArray:
 
 
 def _sensitivities(motion: Motion, params: Params, names: tuple[str, ...]) -> tuple[NDArray, NDArray]:
-    """Of the state a frame later: to the state (n - 1, 20, 20), by CasADi; to the parameters (n - 1, 20, P).
+    """Return the derivatives of the next frame's state: by the state (n - 1, 20, 20), by the parameters (n - 1, 20, P).
 
-    One step of RK4 to a frame: its error is (period / lag)^5 / 120 = 1e-5 of the body rate. The parameters enter
-    through central differences of this one step, which are exact to 1e-8.
+    CasADi gives the former. A frame is one step of RK4: its error is (period / lag)^5 / 120 = 1e-5 of the body rate.
+    The parameters enter through central differences of this one step, which are exact to 1e-8.
     """
     states, commands = motion.states[:-1].T, motion.commands[:-1].T
     force = np.zeros((3, states.shape[1]))

@@ -41,7 +41,7 @@ def search(fitness_of: Callable[[NDArray], NDArray], estimation: Estimation, ste
 
 
 def deviation(values: NDArray, step: float, params: Params) -> float:
-    """sqrt(2 / f'') from three values of f = -2 log L; nan for readings that are no likelihood or not convex."""
+    """sqrt(2 / f'') from three values of f = -2 log L; nan if f is no likelihood or not convex."""
     return curvature_deviation(values, step) if kalman.reading(params.estimation).score == "likelihood" else math.nan
 
 

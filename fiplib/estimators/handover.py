@@ -1,7 +1,7 @@
-"""From estimates to the length that the MPC uses: as printed, or with trust in proportion to what the data hold.
+"""From estimates to the length that the MPC uses: as printed, or weighted by the estimates' precision.
 
-A wrong length is not equally wrong on both sides. In simulated flights on the 0.4 m circle a controller told 0.5 m
-keeps every rod from 0.5 to 2.0 m up, while 1.6 m lets a rod of 0.5 m fall within 1.6 s, before any estimate can come.
+A wrong length is not equally wrong on both sides. In simulated flights on the 0.4 m circle a controller that
+uses 0.5 m keeps every rod from 0.5 to 2.0 m up, while 1.6 m lets a rod of 0.5 m fall within 1.6 s, before any estimate.
 Hence the trusted hand-over starts from the shortest rod to expect, and follows the short side of its belief.
 """
 
@@ -29,19 +29,19 @@ class PrintedHandOver:
 
 
 class TrustedHandOver:
-    """Successive estimates fused by their precision, and a cautious quantile of what is then believed.
+    """Fusion of successive estimates by their precision; the length in use is a cautious quantile of the posterior.
 
     The belief is Gaussian in 1/l. The equation of motion is linear in it (a'' = 2 g a / l - ...), so the likelihood of
     a window is nearly Gaussian in 1/l however short the window is, and the belief never reaches a negative length.
 
     - *Prior.* Rods from ``rod_lengths``, widened to l0, which lie ``caution`` deviations to either side of the mean.
     - *Fusion.* Successive windows share most of their data, so precisions must not be added. The new precision is the
-      average of the believed one and the estimate's (covariance intersection: consistent whatever the correlation).
+      average of the present one and the estimate's (covariance intersection: consistent whatever the correlation).
       The k-th estimate has the share 1 / (k + 1), but never less than 1 / ``memory``: the belief forgets over as many
       runs as lie within a window, and follows a changed rod. Early estimates of growing windows, being vague, weigh
       little beside later ones.
-    - *Outliers.* An estimate beyond ``outlier_gate`` deviations is not believed, yet it speaks against the belief as
-      well, whose deviation doubles: a single outlier shortens the used length a little, a changed rod is soon let in.
+    - *Outliers.* An estimate beyond ``outlier_gate`` deviations is not used, but the deviation of the belief doubles: a
+      single outlier shortens the used length a little, and a changed rod is soon accepted.
     - *Caution.* The used length is ``caution`` deviations on the short side of the belief, grows by a ratio of at most
       ``largest_rise`` per estimate, and falls at once, but not below ``shortest_survivable`` of the believed length.
 
@@ -66,7 +66,7 @@ class TrustedHandOver:
 
     @property
     def believed(self) -> tuple[float, float]:
-        """Length believed and its standard deviation, m."""
+        """Mean length of the belief and its standard deviation, m."""
         return 1 / self._mean, math.sqrt(self._variance) / self._mean**2
 
     def update(self, length: float, deviation: float = math.nan) -> float:

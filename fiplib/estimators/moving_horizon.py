@@ -41,7 +41,7 @@ def moving_horizon(window: Window, params: Params, rng: np.random.Generator | No
 
 @lru_cache(maxsize=4)
 def _horizon(samples: int, step: float) -> tuple[ca.Function, ca.Function]:
-    """The nonlinear programme of ``moving_horizon``, and the Hessian of its cost, for a size of window."""
+    """Return the nonlinear programme of ``moving_horizon``, and the Hessian of its cost, for a size of window."""
     width = len(STATES)
     x, length = ca.MX.sym("x", width, samples), ca.MX.sym("l")
     y, u = ca.MX.sym("y", width, samples), ca.MX.sym("u", 2, samples)

@@ -1,4 +1,4 @@
-"""What estimators are given, and what gathers it in flight.
+"""The windows of data that estimators use, and the samplers that collect them in flight.
 
 The paper's estimator takes states sampled in steps (``kalman.Window``, ``WindowSampler``); ours takes the poses of both
 bodies as measured (``RawWindow``, ``RawSampler``). Both are fed alike.
@@ -61,7 +61,7 @@ class RawWindow(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """How long the window is, s."""
+        """Return how long the window is, s."""
         stamps = [body.stamp for body in self if len(body.stamp)]
         return (max(stamp[-1] for stamp in stamps) - min(stamp[0] for stamp in stamps)) / NANO if stamps else 0.0
 
@@ -182,4 +182,4 @@ class WindowSampler:
 
 
 SAMPLERS: dict[str, type[WindowSampler] | type[RawSampler]] = {"states": WindowSampler, "raw": RawSampler}
-"""What gathers the windows of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""
+"""The sampler of each kind of estimator (``estimators.ESTIMATORS[name].kind``)."""

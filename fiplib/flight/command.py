@@ -78,6 +78,8 @@ def chosen(options: argparse.Namespace) -> tuple[Scenario, Limits]:
     scenario = simulate.SCENARIOS[options.scenario]
     params, limits = changed(scenario.params, Limits(), map(assignment, options.set))
     seed = scenario.seed if options.seed is None else options.seed
+    if seed < 0:
+        raise ValueError(f"--seed {seed}: give a whole number, 0 or more")
     duration = scenario.duration if options.duration is None else options.duration
     if duration * params.piloting.mocap_rate < 1.0:
         raise ValueError(f"--duration {duration:g}: shorter than one frame of motion capture; give more seconds")

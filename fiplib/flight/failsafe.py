@@ -286,7 +286,9 @@ class Guard:
         try:
             solution = self.pilot.solve(tick)
             failure = "no solution" if solution.status is Status.FAILED else None
-            if not np.isfinite(solution.inputs).all():
+            if np.shape(solution.input) != (2,) or np.shape(solution.inputs)[1:] != (2,) or not len(solution.inputs):
+                failure = "solution not of two body rates"
+            elif not (np.isfinite(solution.input).all() and np.isfinite(solution.inputs).all()):
                 failure = "solution not finite"
         except Exception as error:  # whatever a solver raises must not end the flight
             failure = f"{type(error).__name__}: {error}"

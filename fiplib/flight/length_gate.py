@@ -7,7 +7,7 @@ from fiplib.flight.limits import Limits
 from fiplib.params import NANO, Params
 
 BELIEVED = 3
-"""An estimate far from the length in use is believed when it is the third such in a row."""
+"""An estimate far from the length in use is accepted when it is the third such in a row."""
 
 
 class LengthGate:

@@ -22,8 +22,8 @@ class Safety:
     clock_tolerance: float = quantity(
         0.01, "s", "our choice: stamps may be that much ahead of their arrival's usual delay; else a clock has stepped"
     )
-    recovery_frames: int = quantity(12, "frames", "our choice: good frames in a row before poses are believed again")
-    quaternion_tolerance: float = quantity(1e-3, "1", "our choice: | |q| - 1 |, as in the reading of bags")
+    recovery_frames: int = quantity(12, "frames", "our choice: good frames in a row before poses are used again")
+    quaternion_tolerance: float = quantity(1e-3, "1", "our choice: | |q| - 1 |, as for bags")
     jump: float = quantity(0.03, "m", "our choice: distance from the extrapolated position; 0.2 mm is the noise")
     jump_acceleration: float = quantity(30.0, "m/s^2", "our choice: 3 g; what the extrapolation may miss")
     turn: float = quantity(0.17, "rad", "our choice: 10 deg between frames; 1 mrad is the noise")

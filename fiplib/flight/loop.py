@@ -93,7 +93,7 @@ class FlightLoop:
 
     @property
     def flown(self) -> bool:
-        """Whether the vehicle was armed."""
+        """Return whether the vehicle was armed."""
         return self._began is not None
 
     def run(self) -> None:

@@ -1,4 +1,4 @@
-"""Decides which frames of motion capture are good: by their numbers, their stamps, and the change since the last one.
+"""Checks of the frames of motion capture: their numbers, their stamps, and the change since the last one.
 
 No clock and no I/O: time comes in with the frames. A refused frame counts as none; ``failsafe.Guard`` acts on the age
 of the last good one.
@@ -33,7 +33,7 @@ Tilts = Callable[[int], tuple[float, float]]
 
 
 class PoseMonitor:
-    """Takes every frame as it arrives; says whether it is good, why not, and how old the newest good one is.
+    """Check every frame as it arrives: whether it is good, why not, and how old the newest good one is.
 
     Stamps are compared with arrivals, whose clock may be another one: the change of their difference is judged.
     When the stamps' clock has stepped or lost its order, frames are stamped anew by their arrival until it is steady.
@@ -107,7 +107,7 @@ class PoseMonitor:
         return x, y, z
 
     def _numbers(self, measurement: Measurement) -> tuple[NDArray | None, str | None]:
-        """The 14 numbers of a frame, or why they are no two poses."""
+        """Return the 14 numbers of a frame, or why they are no two poses."""
         try:
             values = numbers_of(measurement)
         except ValueError:
@@ -132,7 +132,7 @@ class PoseMonitor:
         return "frame repeated" if stamp == raw[0] else f"{' and '.join(frozen)} pose frozen"
 
     def _stamped(self, now: int, stamp: int) -> int | None:
-        """The stamp to use for a frame, or ``None`` (and ``refusal``)."""
+        """Return the stamp to use for a frame, or ``None`` (and ``refusal``)."""
         if self._last is None and self._newest == 0:
             self._delay = now - stamp
             return stamp
@@ -174,7 +174,7 @@ class PoseMonitor:
         return corrected
 
     def _says_old(self, now: int, stamp: int) -> bool:
-        """Whether a pose is, by its stamp, as old as one that disarms: from a recording that is played, perhaps.
+        """Return whether a pose is, by its stamp, as old as one that disarms: from a recording that is played, perhaps.
 
         A clock that has stepped back looks the same; arrivals must not stand in for its stamps either.
         """

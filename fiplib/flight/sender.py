@@ -1,4 +1,4 @@
-"""The command sender: a process of its own, so that no hung solver and no killed pilot can silence it.
+"""The command sender: a separate process, so that it keeps sending when the solver hangs or the pilot is killed.
 
 It alone holds the way out (a ``Sink``). A fresh setpoint goes out at once; when none comes, the newest is repeated at
 ``safety.send_rate``; when none comes for longer, a dead-man levels and then disarms. Whatever goes wrong with the
@@ -36,7 +36,7 @@ START_TIME = 60.0
 HEARTBEAT = 0.05
 """The sender reports that often, s."""
 HUNG = 0.3
-"""A sender that has not reported for so long is taken for hung, s: the vehicle keeps the last command meanwhile."""
+"""A sender that has not reported for this time is assumed to hang, s: the vehicle keeps the last command meanwhile."""
 REOPEN = 0.25
 """A broken sink is opened again that often, s."""
 PATIENCE = 1.25

@@ -36,7 +36,7 @@ class Session:
 
     Attributes:
         operator, recorder, estimator, view: to be given to ``FlightLoop``; the last two may be ``None``.
-        scheduled: whether real-time scheduling was allowed; in virtual time nobody asks.
+        scheduled: whether real-time scheduling was allowed; in virtual time it is not requested.
         metadata: of the bag.
         bag: where it is recorded; its ``flown`` is to be set once the vehicle has flown.
 

@@ -27,7 +27,7 @@ class SolverWatch:
 
     @property
     def troubled(self) -> bool:
-        """Whether the last solve failed or was late."""
+        """Return whether the last solve failed or was late."""
         return self._failures > 0 or self._late > 0
 
     def waits(self, now: int) -> bool:

@@ -101,10 +101,10 @@ class Transition(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The words of its event in a bag."""
+        """Return the words of its event in a bag."""
         return f"failsafe: {self.before.value} -> {self.after.value}: {self.reason}"
 
     @property
     def data(self) -> dict[str, str]:
-        """The data of its event in a bag."""
+        """Return the data of its event in a bag."""
         return {"from": self.before.value, "to": self.after.value, "reason": self.reason}

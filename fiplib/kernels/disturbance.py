@@ -1,4 +1,4 @@
-"""What disturbs the simulated vehicle: wind, gusts, a hindered rotor, a battery that sags. All off by default.
+"""Disturbances of the simulated vehicle: wind, gusts, a hindered rotor, a battery that sags. All off by default.
 
 With every option at its default a plant is advanced by the force of a push alone, to the bit as before there were any.
 

@@ -56,7 +56,7 @@ def multisine(times: NDArray, about: NDArray, amplitudes: NDArray, states: NDArr
 
 
 def pilot_constants(params: Params, height: float) -> NDArray:
-    """What ``answer`` needs of the parameters, and the height to hold in m: (12,)."""
+    """Return the parameters that ``answer`` uses, with the height to hold in m: (12,)."""
     piloting, vehicle = params.piloting, params.vehicle
     loops = (*piloting.altitude_gains, piloting.altitude_integral_limit, *piloting.yaw_gains, math.inf)
     mass = vehicle.mass + params.pendulum.mass

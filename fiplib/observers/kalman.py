@@ -1,11 +1,11 @@
 """A Kalman filter of the MPC's prediction model, each axis by itself.
 
-The specific thrust u is a random walk, of which the measured tilt is one reading; vehicle and rod feel white forces
-besides. So there is no rate at which positions are differentiated: the rod's acceleration follows from where the rod is
-and how the vehicle is tilted, and of the noise that differentiation lets through little is left.
+The specific thrust u is a random walk that the tilt measures; white forces act on vehicle and rod besides. No position
+is differentiated: the rod's acceleration follows from the rod's offset and the vehicle's tilt, so that little of the
+noise that differentiation amplifies remains.
 
 The forces do two things. The rod's: a length that is not the rod's own shows as a force, and the less of it the filter
-expects, the longer it believes its model; with a hundredth of ours commands are half as large, and 1.3 m in use for a
+expects, the more it trusts its model; with a hundredth of ours commands are half as large, and 1.3 m in use for a
 rod of 1 m ends in a fall, which 1.4 m does not with ours (the study ``observers``). The vehicle's: a body frame that is
 turned against the thrust shows as a force; with half a degree and none expected, the vehicle hovers three times as far
 from its place.

@@ -23,7 +23,7 @@ class Reference(Protocol):
     def informed(self, time: float, deviation: float) -> Self:
         """Return the trajectory to follow once, at ``time`` in s, the length is known to a ``deviation`` in m.
 
-        It must be the same up to ``time``. Most trajectories are not flown to learn the length: they go on.
+        It must be the same up to ``time``. Most trajectories do not serve to identify the length: they go on.
         """
         return self
 
@@ -46,7 +46,8 @@ class Hover(Reference):
 class Circle(Reference):
     """A circle about the origin that starts at rest in (radius, 0) at time ``start`` and comes smoothly to speed.
 
-    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s.
+    ``radius`` and ``height`` in m, ``period``, ``start`` and ``ramp`` in s. Raises ValueError: period or ramp are not
+    above 0.
     """
 
     radius: float
@@ -54,6 +55,9 @@ class Circle(Reference):
     height: float = 1.3
     start: float = 1.0
     ramp: float = 4.0
+
+    def __post_init__(self) -> None:
+        _above_zero("a circle", period=self.period, ramp=self.ramp)
 
     def at(self, times: NDArray) -> NDArray:
         from fiplib.kernels import piloting
@@ -66,11 +70,12 @@ class Circle(Reference):
 
 @dataclass(frozen=True)
 class Multisine(Reference):
-    """A sum of harmonics about the origin that starts there at rest, for the rod's motion to tell its length.
+    """A sum of harmonics about the origin that starts there at rest, which excites the rod to identify its length.
 
     ``frequency`` of the first harmonic in Hz; ``x`` and ``y`` in m are the amplitudes (cos, sin) of the first harmonic,
-    of the second, and so on; they come within ``ramp`` s. If ``wanted`` is positive, they fade to hover within ``fade``
-    s once the length is known to a standard deviation of ``wanted`` m, which was at ``known`` s (``None``: not yet).
+    of the second, and so on; they grow to full size within ``ramp`` s. If ``wanted`` is positive, they fade to hover
+    within ``fade`` s once the length is known to a standard deviation of ``wanted`` m, which was at ``known`` s
+    (``None``: not yet).
     """
 
     frequency: float
@@ -84,9 +89,10 @@ class Multisine(Reference):
 
     def __post_init__(self) -> None:
         for axis in ("x", "y"):  # a bag has lists
-            object.__setattr__(self, axis, tuple(getattr(self, axis)))
+            object.__setattr__(self, axis, tuple(np.atleast_1d(getattr(self, axis)).tolist()))
         if len(self.x) != len(self.y) or len(self.x) % 2:
             raise ValueError(f"a multisine needs as many pairs (cos, sin) along y as along x, not {self.x}, {self.y}")
+        _above_zero("a multisine", frequency=self.frequency, ramp=self.ramp, fade=self.fade)
 
     def at(self, times: NDArray) -> NDArray:
         from fiplib.kernels import piloting
@@ -100,6 +106,12 @@ class Multisine(Reference):
     def informed(self, time: float, deviation: float) -> Self:
         known = self.known is None and 0.0 < deviation <= self.wanted
         return replace(self, known=time) if known else self
+
+
+def _above_zero(what: str, **numbers: float) -> None:
+    for name, number in numbers.items():
+        if not 0.0 < number < np.inf:
+            raise ValueError(f"{name} of {what} must be a number above 0, not {number!r}")
 
 
 REFERENCES = {"Hover": Hover, "Circle": Circle, "Multisine": Multisine}

@@ -25,7 +25,7 @@ ABOUT = 0.25
 noise were other ones than ours: closer agreement would mean nothing."""
 
 LITTLE = 0.1
-"""What the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence): a tenth."""
+"""Size that the paper calls minimal (undershoot), slight (delay, in quarter periods) or little (convergence)."""
 
 SLIGHT = LITTLE * 9.0 / 4
 """The same tenth of a quarter period of our circle of 0.8 m, s."""
@@ -80,27 +80,27 @@ class Claim(Sources):
 
     @property
     def of(self) -> tuple[str, ...]:
-        """The names of what it is read from, in the order in which ``gather`` gets them."""
+        """Return the names of what it is read from, in the order in which ``gather`` gets them."""
         return (*self.bags, *self.studies, *self.benchmarks)
 
     @property
     def criterion(self) -> str:
-        """When a flight agrees, in words; empty where the note says it."""
+        """Return the criterion by which a flight agrees, in words; empty where the note has it."""
         words = CRITERIA[self.agrees].format(self.tolerance)
         needed = "" if self.late is None else f"a share of {1 - self.late:.0%} is needed"
         return "; ".join(filter(None, (words, needed)))
 
     @property
     def unprinted(self) -> bool:
-        """Whether the answer hangs on a choice that the paper does not print."""
+        """Return whether the answer depends on a choice that the paper does not print."""
         return self.kind is Kind.TESTED and bool(self.reason)
 
     def agree(self, value: float, factor: float = 1.0) -> bool:
-        """Whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
+        """Return whether a flight with this value agrees, with ``factor`` times the tolerance. NaN never does."""
         return not math.isnan(value) and bool(self.agrees(value, self.paper, factor * self.tolerance))
 
     def needed(self, factor: float = 1.0) -> float:
-        """The share of flights, or events, that has to be exceeded."""
+        """Return the share of flights, or events, that has to be exceeded."""
         return HALF if self.late is None else 1.0 - factor * self.late
 
 
@@ -197,7 +197,7 @@ def _flight(id: str, text: str, paper: float | None, unit: str, decimals: int, *
 
 
 def _estimation(id: str, start: str, length: float, error: float, time: float) -> tuple[Claim, ...]:
-    """The rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
+    """Return the rows of one of the paper's three estimation flights (its Table 3 and section 4.3)."""
     text, bag, printed = f"From l0 = {start} m:", (f"estimate-{start}",), partial(evidence.printed_error, error)
     return (
         _flight(f"{id}.length", f"{text} length reached", length, "m", 3, quantities.final_length, accurate, ACCURACY,
@@ -212,7 +212,7 @@ CLAIMS = (
             bags=_PUSH, remark=evidence.when_pushed),
     _flight("D2", "Pushes: largest deviation of a, b", 0.058, "m", 3, quantities.push_lean, about, ABOUT, Kind.FITTED,
             bags=_PUSH, remark=partial(evidence.push_angle, 0.058, 6.67),
-            reason="how hard we push was chosen to lead about as far: the paper does not say how hard it pushed"),
+            reason="the impulse was chosen to give about this offset: the paper does not state its own"),
     _flight("D3", "Pushes: settling time of a, b", 2.0, "s", 2, quantities.settling, about, ABOUT, Kind.FITTED,
             bags=_PUSH, remark=evidence.band, reason=_WEIGHTS),
     _flight("D4", "Pushes: larger errors in y than in x", None, "1", 2, quantities.pushed_axes, larger, ABOUT,
@@ -228,7 +228,7 @@ CLAIMS = (
             "delay is a lead: the MPC sees its reference over the whole horizon"),
     _flight("C2.y", "Circle: largest error of y", 0.2, "m", 3, quantities.y_error, about, ABOUT, Kind.FITTED,
             bags=_CIRCLE, reason=_LIGHT),
-    Claim("C3", "Other weights on y and its rate would mend y", None, "1", 2, evidence.heavier_y, smaller, ABOUT,
+    Claim("C3", "Other weights on y and its rate would improve y", None, "1", 2, evidence.heavier_y, smaller, ABOUT,
           Kind.FITTED, studies=_SEEDS, reason=f"{_LIGHT}; this row undoes that choice"),
     *_estimation("G1", "0.8", 0.973, 0.027, 14.68),
     *_estimation("G2", "1.2", 1.029, 0.029, 3.99),
@@ -237,11 +237,11 @@ CLAIMS = (
             ACCURACY, bags=_STARTS, remark=evidence.identity,
             reason="noise covariances are not printed, and they decide"),
     _flight("G4.late", "Little to no convergence after 14 s", None, "1", 2, quantities.late_share, up_to, LITTLE,
-            bags=_STARTS, remark=f"Share of the initial error that goes after {LATE:g} s. Little: up to {LITTLE:g}",
+            bags=_STARTS, remark=f"Share of the initial error that vanishes after {LATE:g} s. Little: up to {LITTLE:g}",
             reason=_SCHEDULE),
     Claim("G4.search", "The GA explores too little", None, "m", 4, evidence.search, yes, bags=_STARTS, studies=_SEEDS,
           reason=_SEARCH),
-    Claim("G4.remedy", "Fewer elites, more mutation would mend it", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
+    Claim("G4.remedy", "Fewer elites, more mutation would help", None, "m", 4, evidence.remedy, yes, bags=_STARTS,
           studies=_SEEDS, reason=_SEARCH),
     _flight("G5", "Tracking in x improves once the length is updated", None, "1", 2, quantities.x_tracking, smaller,
             LITTLE, bags=("estimate-1.4",), remark="RMS error of x on the arc flown before the first update: in later "
@@ -256,7 +256,7 @@ CLAIMS = (
           partial(evidence.wild_commands, "outlier"), larger, ABOUT, bags=_JUMP, studies=_SEEDS),
     Claim("G6.short", "Beyond 0.8 m shorter: commands fluctuate", None, "1", 2,
           partial(evidence.wild_commands, "short outlier"), larger, ABOUT, studies=_SEEDS),
-    Claim("G6.steps", "Small steps of the length would mend it", None, "1", 2, evidence.small_steps, yes,
+    Claim("G6.steps", "Small steps of the length would prevent it", None, "1", 2, evidence.small_steps, yes,
           studies=("ledger_seeds", "length_jumps")),
     _flight("G7", "The estimate fluctuates rapidly", None, "m", 3, quantities.fluctuation, above, RAPID, bags=_STARTS,
             remark=f"Change from one answer to the next that one in ten exceeds. Rapid: above {RAPID:g} m",

@@ -30,7 +30,7 @@ def files(*addresses: str) -> list[Path]:
 
 
 def rules(products: Mapping[str, Product]) -> list[str]:
-    """The lines of a makefile that name the sources of each product: code and data."""
+    """Return the lines of a makefile that name the sources of each product: code and data."""
     common = [Path("requirements.lock"), Path("fiplib/products.py"), *map(Path, _READING)]
     lines, scanned = [], set(common)
     for name, product in products.items():
@@ -91,7 +91,7 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
 
 @cache
 def _references(name: str, member: str) -> set[str]:
-    """The addresses that a member of a module refers to; ``*`` stands for all of its members."""
+    """Return the addresses that a member of a module refers to; ``*`` stands for all of its members."""
     module = _module(name)
     if module is None:
         return set()

@@ -31,7 +31,7 @@ INCOMPLETE = "The study is not complete"
 
 
 class Evidence(NamedTuple):
-    """What speaks for a claim, or against it.
+    """The evidence for or against a claim.
 
     ``values`` of the flights (NaN: it fell, or nothing was measured); ``recorded``, the value of the recorded flight;
     ``note``, how it was measured and what limits it; ``ours``, what is shown for our number where it is not the median
@@ -87,7 +87,7 @@ def _is(row: Mapping, variant: str, scenario: str) -> bool:
 def when_pushed(flight: Flight, rows: Rows) -> tuple[str, dict]:
     """D1."""
     when = ", ".join(f"{time:.1f}" for time in push_times(flight))
-    words = f"Pushed at {when} s, as hard as we chose (D2). Up: the rod leans less than "
+    words = f"Pushed at {when} s, with impulses of our choice (D2). Up: the rod leans less than "
     return words + f"{math.degrees(FALL_ANGLE):.0f} deg until the next push, or the end", {}
 
 
@@ -149,7 +149,7 @@ def first_time(flight: Flight, rows: Rows) -> tuple[str, dict]:
 
 
 def identity(*sources: Flight | Rows) -> tuple[str, dict]:
-    """The printed fitness with unit covariances."""
+    """Return the printed fitness with unit covariances."""
     *flights, rows = sources
     starts = [flight.metadata.get("scenario", "") for flight in flights]
     plain = column(rows, "printed_identity", "default", starts) if rows else []
@@ -200,7 +200,7 @@ def remedy(*sources: Flight | Rows) -> Evidence:
     *flights, rows = sources
     _, explored, _, _ = quantities.search_gaps(*flights)
     share, rate = quantities.EXPLORING.values()
-    words = f"As G4.search, with r_p = {share:g} and r_m = {rate:g}. A flight agrees if there is something to mend and "
+    words = f"As G4.search, with r_p = {share:g} and r_m = {rate:g}. A flight agrees if exploration limits it and "
     words += "the GA comes closer to the best of all lengths"
     found = _gaps(rows)
     values = [float(gap > optimum and explored < gap) for gap, explored, optimum in found]
@@ -209,7 +209,7 @@ def remedy(*sources: Flight | Rows) -> Evidence:
 
 
 def _falls(rows: Rows, variant: str) -> list[float]:
-    """Whether each flight of a variant of the changed length fell."""
+    """Return whether each flight of a variant of the changed length fell."""
     return [1.0 - row["survived"] for row in rows if _is(row, variant, "length-jump")]
 
 
@@ -233,7 +233,7 @@ def safe_changes(flight: Flight, rows: Rows) -> Evidence:
         f"Every length up to 0.8 m too short or too long, a uniform rod and a point mass: {lasting} flights survive "
     )
     words += f"one that stays, {short} one of 2 s. Ours: the largest that stays and is survived in all flights; falls "
-    words += f"begin at {limits}. A limit speaks of each change below it"
+    words += f"begin at {limits}. A limit is a claim on every change below it"
     return Evidence(
         some["to the end"], recorded, words, largest, {"short": sum(some["2 s"]), "flights": len(some["2 s"])}
     )
@@ -251,8 +251,8 @@ def fatal_changes(flight: Flight, rows: Rows) -> Evidence:
         f"{sum(falls[variant]):.0f} of {len(falls[variant])} flights fall with a length {change} for 2 s"
         for variant, change in OUTLIERS.items()
     )
-    words += f". With 0.85 m too long to the end {sum(standing):.0f} of {len(standing)} fall: it is the wrong length "
-    words += "that kills, not the change"
+    words += f". With 0.85 m too long to the end {sum(standing):.0f} of {len(standing)} fall: the wrong length causes "
+    words += "the fall, not the change"
     facts = {"standing": sum(standing), "flights": len(standing)}
     if fatal is not None:
         delay = fatal.end - fatal.start
@@ -291,8 +291,8 @@ def small_steps(rows: Rows, jumps: Rows) -> Evidence:
     words = (
         f"A length 0.85 m too long that stays: of {len(saved)} flights that fall at once, {sum(saved):.0f} survive in "
     )
-    words += "steps of 5 cm each 0.2 s; the others fall later, since such a length does not fly. One of 2 s makes "
-    words += f"{outliers:.0f} fall, so that steps have nothing to save: in 2 s they come 0.5 m far and never reach it. "
+    words += "steps of 5 cm each 0.2 s; the others fall later, since the loop is unstable. One of 2 s makes "
+    words += f"{outliers:.0f} fall, so that steps cannot help: in 2 s they change the length by 0.5 m only. "
     words += f"Over all lengths of the study 'length_jumps' steps save {wrong - lost:.0f} of {wrong:.0f} flights"
     facts = {"outliers": outliers, "wrong": wrong, "lasting": (wrong - lost) / wrong if wrong else math.nan}
     return Evidence(saved, note=words, ours=float(np.mean(saved)) if saved else math.nan, facts=facts)
@@ -327,7 +327,7 @@ def mass_in_length(rows: Rows) -> tuple[str, dict]:
         "Largest deviation of a, b on the circle of 0.8 m with a rod of 0.1 g over that with the paper's 32 g, same "
     )
     words += (
-        f"seed. For the estimator the mass counts: the motion is that of a pendulum {shift:.1f} % shorter, more than "
+        f"seed. For the estimator the mass matters: the motion is that of a pendulum {shift:.1f} % shorter, more than "
     )
     return words + "the paper's largest error", {"shift": shift}
 

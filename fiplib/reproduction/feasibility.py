@@ -1,4 +1,4 @@
-"""Does a terminal constraint cost feasibility? The MPC's constraints alone, as linear programmes (claim M3).
+"""The cost of a terminal constraint in feasibility: the MPC's constraints as linear programmes (claim M3).
 
 The paper omits "a terminal cost constraint" since it limits the feasible region. Taken as x_N = x_ref: for states of a
 flight, the hard-bounded problem (paper, eq. mpc_main, no slack) is solved for the smallest terminal error. No solution:
@@ -81,7 +81,7 @@ def terminal_error(start: NDArray, goal: NDArray, length: float, params: Params)
 
 @lru_cache(maxsize=16)
 def _model(length: float, step: float) -> tuple[NDArray, NDArray]:
-    """The transition (5, 5) and input (5,) of one axis of the prediction model."""
+    """Return the transition (5, 5) and input (5,) of one axis of the prediction model."""
     from fiplib.mpc import MPC
 
     control = Params().control

@@ -101,8 +101,8 @@ def fig3_pushes(flight: Flight) -> Figure:
     From above: the position of the seat, the offsets of the rod's centre of mass, the vehicle's tilt, and the running
     RMS over 0.25 s of the commanded body rates. Dashed: the largest offset that the paper reports, 5.8 cm, and the
     bound of the rates, 100 deg/s; grey: the 2 s in which the paper's rod settles after a push. Our pushes were chosen
-    to lead about as far as the paper's. The rod comes back from there, in half a second to a second more than the
-    paper's; the vehicle takes up to 5 s, as its position weighs little.
+    to give about the paper's largest offset. The rod takes half a second to a second more than the paper's to settle;
+    the vehicle takes up to 5 s, since the weight of its position is small.
     """
     figure, panels = _panels(flight, 4, 3.9)
     _plot_states(panels[0], flight, ("x", "y"), "position", scale=100, unit="cm")
@@ -124,7 +124,7 @@ def fig4_circle(flight: Flight) -> Figure:
     """Fig. 4: the circle of 0.8 m radius and 9 s: one simulated flight with a rod of 1 m, whose length is known.
 
     Dashed black: the paper's largest error of y, 0.2 m, and its largest offset of the rod, 2.5 cm. As in the paper x
-    keeps to its reference and y, whose weights are light, falls short of its own; the offsets stay below the paper's.
+    follows its reference and y, whose weights are light, falls short of its own; the offsets stay below the paper's.
     """
     figure, panels = _panels(flight, 4, 3.9)
     for axes, name in zip(panels, "xy", strict=False):
@@ -139,9 +139,9 @@ def fig4_circle(flight: Flight) -> Figure:
 def fig5_estimation(flight: Flight, spread: Rows = ()) -> Figure:
     """Fig. 5: the 0.4 m circle (8 s) while the length is estimated from l0 = 1.4 m; the rod has 1 m.
 
-    Lines: the recorded flight (simulated), with the length that each run of the genetic algorithm answers (dots) and
-    the one in use, their median. Bands: 5 to 95 % of 20 simulated flights, of which the recorded one is one, with
-    other noise only. Dashed: when the paper's length converged, at 12.43 s, and the length that it came to, 1.0 m.
+    Lines: the recorded flight (simulated), with the result of each run of the genetic algorithm (dots) and the length
+    in use, their median. Bands: 5 to 95 % of 20 simulated flights, which differ in noise only and include the recorded
+    one. Dashed: time and value at which the paper's length converged, 12.43 s and 1.0 m.
     Nothing is known before the first window of 55 samples is full, at 5.5 s. The first answers are 6 to 16 cm short;
     from 12 s on the length in use lies between 0.93 and 1.04 m, and x is tracked as it is with the true length.
     """
@@ -170,9 +170,9 @@ def fig6_convergence(*sources: Flight | Rows) -> Figure:
     Lines: the recorded flights (simulated). Bands: 5 to 95 % of 20 simulated flights from each first length, of the
     same 20 seeds; the recorded one is among them. Crosses with dashed lines: time and length at which the paper's
     flights converged (its Table 3), in the colour of the same first length. With the first full window of 55 samples,
-    at 5.5 s, the length in use comes within 16 cm of the true one, from 1.4 m less closely than from 0.8 m, as the rod
-    was flown less well; from 12 s on the three bands are one, 0.93 to 1.04 m: the first length no longer matters, the
-    noise does. The paper's 3.99 s from 1.2 m lies before our first window is full.
+    at 5.5 s, the length in use comes within 16 cm of the true one, from 1.4 m less closely than from 0.8 m, since the
+    flight until then was less accurate; from 12 s on the three bands coincide, 0.93 to 1.04 m: the spread is due to
+    noise, not to the first length. The paper's 3.99 s from 1.2 m lies before our first window is full.
     """
     *flights, last = sources
     spread: Rows = [] if isinstance(last, Flight) else last

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 NAMES = ("fig1-flight", "fig2-vehicle", "fig3-pushes", "fig4-circle", "fig5-estimation", "fig6-convergence")
 
 DPI, COLOURS = 150, 64
-"""Of a small image: sharp at the width of a page in a browser, and less than 60 kB."""
+"""Resolution and number of colours of a small image: sharp at the width of a page in a browser, and less than 60 kB."""
 
 PAGE = """# The paper's figures, from our recorded flights
 

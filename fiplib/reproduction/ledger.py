@@ -62,12 +62,12 @@ class Row(NamedTuple):
 
     @property
     def short(self) -> str:
-        """The verdict, or why there is none."""
+        """Return the verdict, or why there is none."""
         return self.kind if self.verdict == Verdict.NONE else self.verdict
 
     @property
     def printed(self) -> str:
-        """The paper's number with its unit."""
+        """Return the paper's number with its unit."""
         return f"{self.paper} {self.unit}" if self.paper else ""
 
 
@@ -107,12 +107,12 @@ def evaluate(
 
 
 def shares(claim: Claim, values: Sequence[float]) -> list[Share]:
-    """The shares of flights that agree with a claim with each of the tolerances in ``SENSITIVITY``."""
+    """Return the shares of flights that agree with a claim with each of the tolerances in ``SENSITIVITY``."""
     return [share(claim.agree(value, factor) for value in values) for factor in SENSITIVITY]
 
 
 def verdicts(claim: Claim, found: Sequence[Share]) -> list[Verdict]:
-    """The verdicts that go with ``shares``."""
+    """Return the verdicts that go with ``shares``."""
     return [
         verdict(one, claim.kind, claim.needed(factor), claim.unprinted)
         for one, factor in zip(found, SENSITIVITY, strict=True)
@@ -147,7 +147,7 @@ def judged(claim: Claim, sources: Sequence[Flight | Rows | Quantities]) -> Row:
 
 
 def tolerant(claim: Claim) -> bool:
-    """Whether a claim is tested by a criterion with a tolerance."""
+    """Return whether a claim is tested by a criterion with a tolerance."""
     return claim.kind is Kind.TESTED and (claim.tolerance > 0 or claim.late is not None)
 
 
@@ -192,13 +192,13 @@ RULE = (
 )
 WIDTH = 100
 COLUMNS = {"row": 9, "claim": 27, "paper": 8, "ours [95 %]": 23, "agree (95 %)": 19, "verdict": 9}
-"""Of the ledger in a terminal, with a space between them."""
+"""Column widths of the ledger in a terminal, with a space between columns."""
 
 SUMMARY = {
     **{"group": 17, "hold": 5, "fail": 5, "undec.": 6},
     **{"main row": 9, "ours [95 %]": 23, "agree (95 %)": 19, "verdict": 9},
 }
-"""Of its summary: how many tested rows of a group have each verdict, and the row that stands for it."""
+"""Column widths of its summary: the tested rows of a group by verdict, and the group's main row."""
 
 WORDS = {Verdict.HOLDS: "hold", Verdict.FAILS: "fail", Verdict.UNDECIDED: "are undecided", Verdict.OPEN: "are open"}
 
@@ -218,7 +218,7 @@ def as_text(rows: Sequence[Row], verbose: bool = False) -> str:
 
 
 def explained(row: Row) -> str:
-    """What stands behind a row, in sentences."""
+    """Return the reasons for the verdict of a row, as sentences."""
     reason = {Kind.FITTED: "Fitted", Kind.NOT_TESTABLE: "Not testable", Kind.TESTED: "Undecided"}[Kind(row.kind)]
     words = [
         f"Criterion: {row.criterion}." if row.kind == Kind.TESTED and row.criterion else "",
@@ -250,7 +250,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
 
 
 def of_group(id: str, members: Sequence[str]) -> bool:
-    """Whether a row belongs to a group: by its claim, G4 of G4.search, or by the claim's letter."""
+    """Return whether a row belongs to a group: by its claim, G4 of G4.search, or by the claim's letter."""
     claim = id.partition(".")[0]
     return claim in members or (claim[0] in members and not any(len(member) > 1 for member in members))
 
@@ -306,8 +306,8 @@ def as_latex(rows: Sequence[Row]) -> str:
 def table21_sensitivity(*sources: Flight | Rows | Quantities) -> Table:
     """Table 21: the verdict of every tested claim with half the tolerance of its criterion, as stated, and with twice.
 
-    The share that agrees of the simulated flights of Table 5, 40 flights or 120, and the verdict. A claim that hangs on
-    a choice that is not printed is undecided with every tolerance. Where a share is needed, the tolerance is what may
+    The share that agrees of the simulated flights of Table 5, 40 flights or 120, and the verdict. A claim that depends
+    on an unprinted choice is undecided with every tolerance. Where a share is needed, the tolerance is what may
     be missing from it.
     """
     known = dict(zip((*JUDGED.bags, *JUDGED.studies, *JUDGED.benchmarks), sources, strict=True))
@@ -324,7 +324,7 @@ def table21_sensitivity(*sources: Flight | Rows | Quantities) -> Table:
 
 
 def counted(rows: Sequence[Row]) -> dict[str, int]:
-    """How many rows there are of each kind, and how many tested ones have each verdict."""
+    """Return how many rows there are of each kind, and how many tested ones have each verdict."""
     kinds, found = Counter(row.kind for row in rows), Counter(row.verdict for row in rows if row.kind == Kind.TESTED)
     verdicts = {str(one): found[one] for one in Verdict if one is not Verdict.NONE}
     return {str(kind): kinds[kind] for kind in Kind} | verdicts
@@ -334,7 +334,7 @@ NUMBERS = (
     *("paper", "ours", "ours_low", "ours_high", "recorded"),
     *("agree", "flights", "share_low", "share_high", "verdict", "half", "twice", "kind"),
 )
-"""What the report may say of a row."""
+"""Fields of a row that the report may cite."""
 
 
 def macros(rows: Sequence[Row], params: Params, facts: Facts) -> dict[str, str]:

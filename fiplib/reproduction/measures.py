@@ -1,4 +1,4 @@
-"""What can be measured on a recorded flight: leans, laps, settling, convergence, changes of the length.
+"""Measures of a recorded flight: leans, laps, settling, convergence, changes of the length.
 
 All is measured on what the controller saw (``/fip/state``, ``/fip/reference``, ``/fip/length``), as the paper did, and
 never on a simulator's truth: the bag of a real vehicle goes through unchanged. ``quantities`` makes the ledger's
@@ -20,7 +20,7 @@ FALL_ANGLE = math.radians(30.0)
 """A rod that leans further has fallen: only to hold it there, the vehicle itself would have to tilt as far."""
 
 FINAL_SECONDS = 5.0
-"""The length a flight comes to is the median over its last seconds: single runs of the estimator scatter."""
+"""The final length of a flight is the median over its last seconds: single runs of the estimator scatter."""
 
 CONVERGED = 0.05
 """Band in m about the final length within which an estimate counts as converged: the usual 5 %, of a 1 m rod."""
@@ -147,7 +147,7 @@ def true_length(flight: Flight) -> float:
 
 
 class Convergence(NamedTuple):
-    """What the used length came to: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
+    """The final used length: ``length`` and ``error`` in m, ``time`` in s since the start of the flight."""
 
     length: float
     error: float
@@ -155,8 +155,8 @@ class Convergence(NamedTuple):
 
 
 def convergence(flight: Flight) -> Convergence:
-    """The median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
-    parameters, and when the used length came to within ``CONVERGED`` of that median to stay there."""
+    """Return the median of the used length over the last ``FINAL_SECONDS``, its error against the rod of the flight's
+    parameters, and when the used length entered ``CONVERGED`` around that median and stayed there."""
     time, used = used_length(flight)
     late = time > flight.duration - FINAL_SECONDS
     final = float(np.median(used[late] if late.any() else used[-1:]))

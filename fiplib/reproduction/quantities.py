@@ -80,7 +80,7 @@ def x_gain(flight: Flight) -> float:
 
 
 def x_delay(flight: Flight) -> float:
-    """How far x lags behind its reference, s, last whole laps; negative: it leads."""
+    """Return how far x lags behind its reference, s, last whole laps; negative: it leads."""
     return x_response(flight)[1]
 
 
@@ -93,12 +93,12 @@ def y_error(flight: Flight) -> float:
 
 
 def final_length(flight: Flight) -> float:
-    """The length that the flight's estimate came to, m."""
+    """Return the final length of the flight's estimate, m."""
     return convergence(flight).length
 
 
 def converged(flight: Flight) -> float:
-    """When the used length came to within ``CONVERGED`` of its final value to stay there, s from the start."""
+    """Return when the used length entered ``CONVERGED`` around its final value and stayed there, s from the start."""
     return convergence(flight).time
 
 
@@ -115,7 +115,7 @@ def x_tracking(flight: Flight) -> float:
 
 
 def y_tracking(flight: Flight) -> float:
-    """The same of y."""
+    """RMS error of y in later laps over that in the first lap, on the same arc as ``x_tracking``."""
     return _tracking(flight)[1]
 
 
@@ -131,14 +131,14 @@ def _tracking(flight: Flight) -> tuple[float, float]:
 
 
 def _estimates(flight: Flight) -> np.ndarray:
-    """The estimator's own answers (n,) in m, before its median filter."""
+    """Return the estimator's own answers (n,) in m, before its median filter."""
     need(flight, "length")
     answers = flight.length.column("estimate")
     return answers[np.isfinite(answers)]
 
 
 def fluctuation(flight: Flight) -> float:
-    """The change from one answer of the estimator to the next that nine in ten stay below, m."""
+    """Return the change from one answer of the estimator to the next that nine in ten stay below, m."""
     changes = np.abs(np.diff(_estimates(flight)))
     return float(np.quantile(changes, 0.9)) if len(changes) else math.nan
 
@@ -153,7 +153,7 @@ def estimate_error(flight: Flight) -> float:
 
 @lru_cache(maxsize=8)
 def search_gaps(*flights: Flight) -> tuple[float, float, float, int]:
-    """The GA against the exhaustive optimum l_best of the same fitness.
+    """Return the GA against the exhaustive optimum l_best of the same fitness.
 
     Returns:
         |l_GA - l_best| in m as flown and with ``EXPLORING``, |l_best - l| in m, all medians over windows; their number.
@@ -179,7 +179,7 @@ def search_gap(flight: Flight) -> float:
 
 
 def explored_gap(flight: Flight) -> float:
-    """The same with ``EXPLORING``."""
+    """Return the same with ``EXPLORING``."""
     return search_gaps(flight)[1]
 
 
@@ -195,7 +195,7 @@ def printed_best(flight: Flight) -> float:
 
 
 def printed_identity(flight: Flight) -> float:
-    """The same with Q_e = R_e = I."""
+    """Return the same with Q_e = R_e = I."""
     return _printed(flight, estimation__process_noise=(1.0,) * 10, estimation__measurement_noise=(1.0,) * 10)
 
 
@@ -211,12 +211,12 @@ def _printed(flight: Flight, **covariances: tuple[float, ...]) -> float:
 
 
 def survived_change(flight: Flight) -> float:
-    """The largest change of the used length at once, m, after which the rod stays up until the next one."""
+    """Return the largest change of the used length at once, m, after which the rod stays up until the next one."""
     return max((jump.size for jump in jumps(flight) if not jump.fell), default=math.nan)
 
 
 def fatal_change(flight: Flight) -> float:
-    """The smallest change of the used length at once, m, after which the rod falls before the next one."""
+    """Return the smallest change of the used length at once, m, after which the rod falls before the next one."""
     return min((jump.size for jump in jumps(flight) if jump.fell), default=math.nan)
 
 
@@ -229,7 +229,7 @@ def command_ratio(flight: Flight) -> float:
 
 
 def fatal_jump(flight: Flight) -> Jump | None:
-    """The smallest change that ended in a fall, if one did."""
+    """Return the smallest change that ended in a fall, if one did."""
     return min((jump for jump in jumps(flight) if jump.fell), default=None)
 
 
@@ -242,17 +242,17 @@ def _commands(flight: Flight, start: float, end: float) -> float:
 
 
 def height_sway(flight: Flight) -> float:
-    """How far the vehicle's height departs from its median, m, at most, once it has settled."""
+    """Return how far the vehicle's height departs from its median, m, at most, once it has settled."""
     height = flight.vehicle.position[_settled(flight), 2]
     return float(np.abs(height - np.median(height)).max())
 
 
 def yaw_sway(flight: Flight) -> float:
-    """How far the vehicle's yaw departs from zero, deg, at most, once it has settled."""
+    """Return how far the vehicle's yaw departs from zero, deg, at most, once it has settled."""
     x, y, z, w = flight.vehicle.orientation[_settled(flight)].T
     return float(np.degrees(np.abs(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))).max()))
 
 
 def _settled(flight: Flight) -> np.ndarray:
-    """The frames after the first 2 s, in which altitude and yaw come to rest."""
+    """Return the frames after the first 2 s, in which altitude and yaw come to rest."""
     return flight.time(flight.vehicle) > 2.0

@@ -44,7 +44,7 @@ class Sources:
 
     @property
     def command(self) -> str:
-        """The shell command that computes it from the beginning: flights, studies and measurements first."""
+        """Return the shell command that computes it from the beginning: flights, studies and measurements first."""
         steps = ["make bags"] if self.bags else []
         steps += [f"make sweep STUDIES='{' '.join(self.studies)}'"] if self.studies else []
         steps += [BENCHMARKS[table] for table in self.benchmarks]
@@ -52,7 +52,7 @@ class Sources:
 
     @property
     def names(self) -> list[str]:
-        """What the ledger calls them."""
+        """Return the name of the sources in the ledger."""
         tables = [f"sweeps/{study}" for study in self.studies] + [f"{table}.csv" for table in self.benchmarks]
         return [*self.bags, *tables]
 

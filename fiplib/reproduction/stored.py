@@ -1,7 +1,7 @@
 """Tables on disk, read with every check, and the checksums of ``data/``: damage is one sentence, never a number.
 
-``data/SHA256SUMS`` lists bags and tables alike, as ``sha256sum`` writes it. Whoever writes such a file records it
-there: a finished table does so by itself, ``make bags`` by ``python -m fiplib.reproduction.stored FILE...``.
+``data/SHA256SUMS`` lists bags and tables alike, as ``sha256sum`` writes it. The writer of such a file records it
+there: a finished table by itself, ``make bags`` by ``python -m fiplib.reproduction.stored FILE...``.
 """
 
 import csv

@@ -1,4 +1,4 @@
-"""How every figure looks: one column, 8 pt, colours that colour-blind readers tell apart, the origin of the data."""
+"""The style of every figure: one column, 8 pt, colours for colour-blind readers, the origin of the data."""
 
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,7 +14,7 @@ BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", 
 """The colours of Okabe and Ito."""
 
 LIGHT = "#E4E4E4"
-"""What is shaded behind lines."""
+"""Colour of shaded areas behind lines."""
 
 STYLE = {
     "font.size": 8,

@@ -50,7 +50,7 @@ class Table(NamedTuple):
 
 
 def columns(alignment: str) -> list[str]:
-    """The letters of a LaTeX tabular's columns: ``@{}lr`` has l and r."""
+    """Return the letters of a LaTeX tabular's columns: ``@{}lr`` has l and r."""
     return re.findall("[lrc]", re.sub(r"@\{[^}]*\}", "", alignment))
 
 

@@ -45,7 +45,7 @@ class Kind(StrEnum):
 
 
 class Verdict(StrEnum):
-    """What the flights say of a claim."""
+    """The verdict of the flights on a claim."""
 
     HOLDS = "holds"
     FAILS = "fails"
@@ -53,7 +53,7 @@ class Verdict(StrEnum):
     NONE = "none"
     """The claim was not tested: it is fitted, or not testable without the vehicle."""
     OPEN = "open"
-    """What it is judged from is missing."""
+    """The data for a verdict are missing."""
 
 
 class Share(NamedTuple):

@@ -1,4 +1,4 @@
-"""Which of data, model and search matters? The estimate of the same flights with each of the three exchanged.
+"""The effects of data, model and search: the estimate of the same flights with each of the three exchanged.
 
 A row is a flight of the 0.4 m circle with a uniform rod, the seat 8 cm above the vehicle's frame, 20 seeds for each of
 three rods; all answers are to the same 5.4 s of it.
@@ -53,7 +53,7 @@ GRID = 3e-3
 """Step of the first grid, m: the likelihood of poses has one maximum, whose width is 3 mm and more."""
 
 STEP = 1e-3
-"""Of the curvature, m: small beside any deviation that a window can reach, large beside rounding."""
+"""Step in length for the curvature, m: small beside any deviation that a window can reach, large beside rounding."""
 
 Fitness = Callable[[NDArray], NDArray]
 
@@ -143,7 +143,7 @@ def derived_fitness(window: Window, estimation: Estimation, inertia: Told) -> Fi
 
 
 def _lowest(values: NDArray) -> NDArray:
-    """The minimum of each column (n, C), of the parabola through its three lowest values in a row."""
+    """Return the minimum of each column (n, C), of the parabola through its three lowest values in a row."""
     if len(values) < 3:
         return values.min(axis=0)
     middle, columns = np.clip(values.argmin(axis=0), 1, len(values) - 2), np.arange(values.shape[1])

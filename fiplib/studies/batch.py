@@ -181,5 +181,5 @@ def _times(scenario: Scenario) -> _Times:
 
 
 def _first_at(seconds: float, rate: float, count: int) -> int:
-    """The first frame at or after a time in s; ``count``, if there is none before it."""
+    """Return the first frame at or after a time in s; ``count``, if there is none before it."""
     return bisect_left(range(count), seconds, key=lambda index: index / rate)

@@ -11,10 +11,10 @@ from fiplib.reproduction.tables import NONE, Table
 
 
 def fig13_deadlines(found: Quantities) -> Figure:
-    """Fig. 13: how late control ticks are and how long their answers take, against the clock with a simulated vehicle.
+    """Fig. 13: lateness of control ticks and time of their answers, in real time with a simulated vehicle.
 
     One run of ten minutes at 120 Hz, the genetic algorithm in a process beside the controller: share of all ticks above
-    each time. Vertical line: the period of a tick, 8.33 ms. Dashed: how late a process is that does nothing else. Of
+    each time. Vertical line: the period of a tick, 8.33 ms. Dashed: lateness of a process that does nothing else. Of
     a hundred answers 99 take a tenth of a tick or less; the tail beyond a few ms is the machine's, as the dashed line
     shows.
     """
@@ -75,7 +75,7 @@ def table12_speed(rows: Rows) -> Table:
     """Table 12: time of each piece of work, beside the fastest rival whose answers agree, and ratios of all others.
 
     Medians (p50) and 99th percentiles (p99) of many calls in one process each, on simulated data; a ratio is the
-    rival's median over ours. A rival that answers otherwise is marked: its time is that of other work.
+    rival's median over ours. A rival with other answers is marked: its time is for different work.
     """
     lines = []
     for work in dict.fromkeys(row["work"] for row in rows if row["contender"] == OURS and row["calls"] > 0):

@@ -94,7 +94,7 @@ class Flown:
 
     @property
     def within(self) -> NDArray:
-        """Which frames belong to the scenario: what follows is the descent without the rod."""
+        """Return which frames belong to the scenario: what follows is the descent without the rod."""
         return self.time < min(self.scenario.duration, self.duration) - 1.0
 
     @property
@@ -104,7 +104,7 @@ class Flown:
 
     @property
     def height_error(self) -> str:
-        """The rms error of the height within the scenario, mm."""
+        """Return the rms error of the height within the scenario, mm."""
         return f"{1e3 * rms(self.truth[self.within, 10] - self.scenario.reference.height):.1f}"
 
     def after_push(self, start: float, stop: float) -> tuple[float, float, float]:
@@ -126,7 +126,7 @@ class Flown:
         return best._replace(delay=best.delay - params.simulation.mocap_latency)
 
     def refitted(self) -> str:
-        """What the recommended estimator makes of the flight, in a sentence."""
+        """Return the recommended estimator's result for the flight, as a sentence."""
         flight = self.tape.flight(self.scenario.name, self.metadata)
         seconds, end = flight.params.estimation.raw_window, flight.start_ns + round(self.scenario.duration * NANO)
         if not (windows := [one for stamp, one in replay.raw_windows(flight, seconds, REFITS) if stamp <= end]):

@@ -245,7 +245,7 @@ def questions(found: Posterior) -> str:
     sentences = []
     if open_:
         sentences.append(f"A reader should ask the authors for {joined([named(choice) for choice in open_])}: ")
-        sentences[-1] += "the numbers of Table 3 depend on each of them and settle none."
+        sentences[-1] += "the numbers of the paper's Table 3 depend on each of them and settle none."
     if settled:
         sentences.append(f"The numbers themselves settle {joined([named(choice) for choice in settled])}.")
     if rest:

@@ -19,7 +19,7 @@ from fiplib.ga import Chromosome
 from fiplib.kalman import Window
 from fiplib.params import Params
 from fiplib.reproduction.claims import EXPLORING, LATE, LITTLE
-from fiplib.reproduction.measures import rms
+from fiplib.reproduction.measures import binomial_interval, rms
 from fiplib.reproduction.sources import Rows
 from fiplib.reproduction.tables import Facts
 from fiplib.simulate import Scenario
@@ -174,20 +174,26 @@ class Exploring:
 
     @staticmethod
     def facts(rows: Rows) -> Facts:
-        """Return in how many of all flights each remark holds, for the seat tracked and the likelihood as fitness: for
-        the fewest and the most evaluations, and for what ``Params`` has."""
+        """Return in how many of all flights each remark holds, with the interval of the share in %.
+
+        For the seat tracked and the likelihood as fitness: for the fewest and the most evaluations, and for what
+        ``Params`` has.
+        """
         found: Facts = {("flights",): f"{len(runs.SEEDS)}"}
         sizes = {"least": (12, 5), "ours": (60, 20), "most": (60, 40)}
         for row in rows:
             if row["fitness"] == "rk4_likelihood":
                 for name, size in sizes.items():
                     if (row["population"], row["generations"]) == size:
-                        every = itertools.product(Exploring.REMARKS, runs.POPULATIONS, runs.PERIODS)
-                        found |= {
-                            (
-                                name,
-                                *map(str, (remark, first, f"{period:g}")),
-                            ): f"{row[f'{remark}_{first}_{period:g}']:.0f}"
-                            for remark, first, period in every
-                        }
+                        for remark, first, period in itertools.product(
+                            Exploring.REMARKS, runs.POPULATIONS, runs.PERIODS
+                        ):
+                            words = (name, remark, first, f"{period:g}")
+                            holding = round(row[f"{remark}_{first}_{period:g}"])
+                            low, high = binomial_interval(holding, len(runs.SEEDS))
+                            found |= {
+                                words: f"{holding}",
+                                (*words, "low"): f"{100 * low:.0f}",
+                                (*words, "high"): f"{100 * high:.0f}",
+                            }
         return found

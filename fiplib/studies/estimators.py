@@ -9,8 +9,8 @@ derived states, or 2.5 s of raw motion capture. Per estimator ``NAME`` the row h
 - ``covered_NAME``: answers whose 95 % interval covers the truth; ``sd_NAME``: their mean standard deviation, m; nan
   both for an estimator that states none;
 - ``bound_NAME``: root mean square over the windows of the bound for the *raw* motion capture of the same span, m, so
-  that derived states and raw frames are held against the same limit. What an estimator takes for unknown is unknown
-  in its bound too (``UNKNOWN``); all others take the calibration of motion capture for exact.
+  that derived states and raw frames are compared with the same limit. A quantity that an estimator takes as unknown
+  is unknown in its bound too (``UNKNOWN``); the other estimators take the calibration of motion capture as exact.
 """
 
 import math
@@ -40,7 +40,7 @@ KEYS = ("excitation", "gyration_ratio", "seed")
 EXCITATIONS = {"circle-0.4": Circle(0.4, 8.0), "circle-0.8": Circle(0.8, 9.0), "hover": Hover()}
 
 UNKNOWN = dict.fromkeys(("poses", "ga_poses"), (CALIBRATION, "inertia_factor"))
-"""What is unknown beside state and length, by estimator."""
+"""The quantities that each estimator takes as unknown beside state and length."""
 
 DURATION = 22.0
 """s: three windows of derived states and five of raw motion capture after ``SETTLED``."""
@@ -253,7 +253,7 @@ def fig9_estimators(rows: Rows) -> Figure:
     Rows that share an axis have the same data and the same bound. Above: all poses in windows of 2.5 s, with
     calibration and inertia unknown to the estimator as to the bound; dashed: the target of 1.2. Below: 55 derived
     states in steps of 0.1 s, against the bound of all poses of that time with everything else known. Derived states
-    cost a factor of fifty whatever searches them; the estimates from raw poses are at the bound, a little below where
+    cost a factor of fifty with any search; the estimates from raw poses are at the bound, a little below where
     they are given tolerances that it takes as unknown.
     """
     figure = Figure(figsize=(COLUMN, 3.4), layout="constrained")
@@ -286,7 +286,7 @@ def fig10_intervals(flight: Flight, spread: Rows = ()) -> Figure:
     Bars: windows of 2.5 s, one every half second, of the recorded flight (simulated, l0 = 1.4 m, a rod of 1 m on the
     0.4 m circle). Bands: 5 to 95 % of the answers over 20 simulated flights, among them the recorded one: blue of the
     poses, orange of the genetic algorithm. The blue band, 0.995 to 1.006 m, is as wide as the stated intervals, so
-    these can be believed; the orange one is ten times as wide, and below the true length at first.
+    these can be trusted; the orange one is ten times as wide, and below the true length at first.
     """
     from fiplib.estimators.poses.in_flight import InFlight  # compiled code: half a second to import
 

@@ -1,9 +1,9 @@
-"""Excitation by design: which trajectory tells the length soonest, with the rod no further from upright than usual?
+"""Excitation by design: the trajectory that identifies the length soonest, with the rod no further from upright.
 
 A case is one simulated flight that estimates its length (uniform rod of 1 m on the 8 cm seat) with one ``excitation``
 and one ``estimator``; it starts at rest and knows nothing: ``poses`` with the trusted hand-over from 0.5 m on, or the
-paper's ``ga`` from 0.8 m on. Beside what becomes of the flight a row has, at ``TIMES`` of the flight, what the newest
-estimate states and how wrong it is, and the Cramer-Rao bound of all poses so far.
+paper's ``ga`` from 0.8 m on. Beside the outcome of the flight a row has, at ``TIMES`` of it, the stated deviation
+and the error of the newest estimate, and the Cramer-Rao bound of all poses so far.
 
 ``design`` looks for the multisine whose bound falls to ``WANTED`` soonest while |a| and |b| stay below ``LEAN``; it
 made ``DESIGNED``. What was found: docs/studies.md. 280 rows, about 4 minutes of one core; the design takes
@@ -53,7 +53,7 @@ DEVIATIONS = {"20": 0.02, "10": 0.01, "5": 0.005}
 
 FOUND = Multisine(0.1185, (0.4083, -0.1672, -0.0906, 0.0986), (0.8639, -0.3538, -0.1915, 0.2086), ramp=0.946)
 DESIGNED = Multisine(0.1185, (0.3476, -0.1424, -0.0771, 0.084), (0.6987, -0.2861, -0.1549, 0.1687), ramp=0.946)
-"""What ``design()`` finds, and what it returns: the same smaller, as far as no noise takes the rod beyond ``LEAN``."""
+"""The trajectory that ``design()`` finds, and the one it returns: scaled so that the rod stays within ``LEAN``."""
 
 ESTIMATED: dict[str, dict] = {
     "poses": {"estimation__estimator": "poses", "piloting__handover": "trusted"},
@@ -86,7 +86,7 @@ the circle of 0.8 m leans further than ``LEAN``, and ``FOUND`` as far as that. "
 commands are a quarter as large."""
 
 TO_THE_END = ("hover", "circle 0.4 m / 8 s", "circle 0.8 m / 9 s", "designed")
-"""What the genetic algorithm flies, too."""
+"""The trajectories that are also flown with the genetic algorithm."""
 
 SEEDS = range(20)
 BOUNDED, BOUND_SECONDS = 6, 6.0
@@ -255,7 +255,7 @@ def fig22_excitation(rows: Rows) -> Figure:
     medians (means of the paths), bands: 5 to 95 %. Top: paths of the first 3 s, a dot every 0.2 s, and the largest of
     |a| and |b| since the time before; grey: the lean that the design may take. Bottom: stated standard deviation,
     crosses: root mean square error, black: Cramer-Rao bound (6 flights), grey: the deviation designed for, at which
-    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to come to
+    the excitation ends. Estimates state what the bound allows, 0.1 to 0.3 s later; the design is the first to reach
     10 mm, with less lean than the circle, and gains nothing near 5 mm, where the seat's height limits all of them.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
@@ -304,7 +304,7 @@ def _band(axes: Axes, times: Sequence[float], values: NDArray, factor: float, na
 
 
 def table20_excitation(rows: Rows) -> Table:
-    """Table 20: excitation by design: when the length is known, what is known later, and what the trajectory takes.
+    """Table 20: excitation by design: time to a stated deviation, deviation later, and lean of the trajectory.
 
     20 simulated flights each of 12 s from rest, a uniform rod of 1 m on the 8 cm seat. A deviation is reached with the
     first estimate that states it: mean with its 95 % interval (bootstrap over seeds), or, where not all flights reach
@@ -380,11 +380,11 @@ SCALINGS = 3
 is part of it."""
 
 MARGIN = 1.5e-3
-"""What is left of ``LEAN`` in the search, m: shapes are compared at the same lean with the noise of one seed."""
+"""Margin to ``LEAN`` in the search, m: shapes are compared at the same lean with the noise of one seed."""
 
 
 FINAL_SEEDS, FINAL_MARGIN = range(90_002, 90_010), 0.5e-3
-"""What the trajectory that is found is scaled with once more, and what is left of ``LEAN`` then, m."""
+"""Seeds with which the result is scaled once more, and its margin to ``LEAN`` then, m."""
 
 FELL = 100.0
 """Cost of a trajectory that lets the rod fall, s."""

@@ -54,7 +54,7 @@ FIELD: dict[str, tuple[str, dict[str, Any]]] = {
 TRUE_LENGTH = 1.0
 LENGTHS = (0.6, 0.8, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.8)
 SEEDS = 20
-FEW_SEEDS, FEW_LENGTHS = 4, (1.0, 1.4, 1.6)
+FEW_SEEDS, FEW_LENGTHS = 2, (1.0, 1.4, 1.6)
 """Of the nonlinear MPC, which takes some hundred times as long."""
 PUSHED, HINDERED, SETTLED = 8.0, 2.0, 5.0
 """When the push and the hindered rotor come; when the beginning of a flight is over, s."""
@@ -199,7 +199,7 @@ SCORED = (
 def table18_field(rows: Rows, ticks: Quantities) -> Table:
     """Table 18: a column for each controller: who stays up, how well, and how long a tick takes.
 
-    20 simulated flights of each kind, 10 of the nonlinear MPC, with the same plant, noise and seeds: a uniform rod of
+    20 simulated flights of each kind, 2 of the nonlinear MPC, with the same plant, noise and seeds: a uniform rod of
     1 m on a seat of 8 cm. Means with half their 95 % intervals; a length in use survives where most flights do. A
     tick: median and 99th percentile of one call, measured on one machine.
     """
@@ -235,9 +235,11 @@ def _interval(value: float, low: float, high: float, decimals: int) -> str:
 def fig21_field(rows: Rows) -> Figure:
     """Fig. 21: the controllers on the same plant, noise and seeds: with which lengths they survive, and how well.
 
-    20 simulated flights at each point, 10 of the nonlinear MPC, a uniform rod of 1 m on a seat of 8 cm. Above: the
-    percentage that stays up after a push of 8 mN s in hover, by the length in use. Below: RMS rate command in hover
-    with the push, RMS error on the 0.4 m circle (8 s), and in a steady wind of 2 m/s; means with 95 % intervals.
+    20 simulated flights at each point, 2 of the nonlinear MPC, a uniform rod of 1 m on a seat of 8 cm. Above: the
+    percentage that stays up after a push of 8 mN s in hover, by the length in use; blank: not flown. Below: RMS rate
+    command in hover, RMS error on the 0.4 m circle (8 s), and distance from the place after 15 s of a steady wind of
+    2 m/s; means with 95 % intervals. What widens the range of lengths costs commands, not error; only those that
+    estimate a disturbance stand still in wind.
     """
     figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
@@ -287,6 +289,13 @@ def facts(rows: Rows) -> Facts:
             found[*words, flight, column] = number(value, decimals)
             found[*words, flight, column, "low"] = number(low, decimals)
             found[*words, flight, column, "high"] = number(high, decimals)
+        for flight in FLIGHTS:
+            kept, flown, low, high = share(rows, controller, flight)
+            found |= {(*words, flight, "up"): f"{kept}", (*words, flight, "flown"): f"{flown}"}
+            found |= {
+                (*words, flight, "up", "low"): f"{100 * low:.0f}",
+                (*words, flight, "up", "high"): f"{100 * high:.0f}",
+            }
         up = surviving(rows, controller)
         found[*words, "shortest"], found[*words, "longest"] = (f"{up[0]:g}", f"{up[-1]:g}") if up else (NONE, NONE)
     return found

@@ -46,7 +46,7 @@ SECONDS, SETTLED = 15.0, 7.0
 """Duration of a flight, and from when on it is judged, s: the circle is at speed from 5 s on."""
 
 OFFSET, CIRCLE_ERROR = 0.05, 0.1
-"""What the experiment reports, m: about."""
+"""Errors that the experiment reports, approximately, m."""
 
 OTHER_WEIGHTS = (WEIGHTS.input / 5, WEIGHTS.input * 4)
 """Input weights for which the misalignment is computed, too; the state weight is 1."""
@@ -135,7 +135,7 @@ def _cell(value: tuple[float, float]) -> str:
 
 
 def table19_flying_pendulum(rows: Rows) -> Table:
-    """Table 19: the experiment of 2011 beside ours: what it reports, what is fitted, what is tested.
+    """Table 19: the experiment of 2011 beside ours: reported, fitted and tested numbers.
 
     20 simulated flights of 15 s in each cell, with its rod (centre of mass 0.565 m above the seat), 50 commands a
     second and a latency of 30 ms; the turn of the tracked frame is fitted to the static offset, the errors on the

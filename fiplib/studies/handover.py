@@ -1,15 +1,15 @@
-"""Does the loop survive its own estimator? Random rods, random first lengths, and five ways to the used length.
+"""Survival of the loop with its own estimator: random rods and first lengths, and five ways to the used length.
 
 A flight is drawn by its index: l0 uniform in [0.4, 1.6] m, and a uniform rod. The first ``EXPECTED`` rods are as the
 trusted hand-over expects them, uniform in [0.5, 1.5] m; of the next ``OUTSIDE`` every other one is shorter, in
 [0.3, 0.5] m, and the others longer, in [1.5, 2] m. It follows the 0.4 m circle, which starts at once. A row is one
 flight under one policy:
 
-- ``told``: the controller has the true length from the start. What falls here, no estimator could save.
+- ``told``: the controller has the true length from the start. No estimator could save a rod that falls here.
 - ``printed``: the paper's genetic algorithm and hand-over from l0 on, with the likelihood as its fitness (our default);
   ``short``: the same from the first length of ``trusted``, the shortest rod to expect, instead of l0;
   ``literal``, for the first ``LITERAL`` indices only: from l0, with the fitness that the paper prints.
-- ``trusted``: the estimate from poses, and the hand-over that trusts it as far as it is sure.
+- ``trusted``: the estimate from poses, and the hand-over that trusts it in proportion to its precision.
 
 All policies fly the same rod with the same noise. 840 rows, about 5 minutes of two cores.
 """
@@ -138,7 +138,7 @@ def fig11_handover(rows: Rows) -> Figure:
     200 simulated flights of 12 s on the 0.4 m circle (8 s) for each way, the same rods (uniform) and noise: as printed
     from the drawn first length, as printed from 0.5 m, and the trusted hand-over of the estimate from raw poses. Grey:
     rods to expect, half of all flights. Titles: how many stay up, with the binomial 95 % interval of their share. The
-    short start alone saves the rods to expect; the shorter ones need an estimate within two seconds, which only the
+    short start alone saves the expected rods; the shorter ones need an estimate within two seconds, which only the
     trusted hand-over has.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
@@ -167,7 +167,7 @@ def fig11_handover(rows: Rows) -> Figure:
 
 
 def _flown(rows: Rows, policy: str) -> tuple[set[float], Rows, Rows]:
-    """The indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
+    """Return the indices that stay up with the true length; the rows of a policy, and those of them that stay up."""
     told = {row["index"] for row in rows if row["policy"] == "told" and row["survived"] == 1}
     flown = [row for row in rows if row["policy"] == policy]
     return told, flown, [row for row in flown if row["survived"] == 1]
@@ -225,7 +225,7 @@ def _after(found: HandedOver, times: NDArray) -> tuple[str, str]:
 
 
 def table8_handover(rows: Rows) -> Table:
-    """Table 8: random rods and first lengths under five ways to the length in use: who stays up, how soon it is right.
+    """Table 8: random rods and first lengths under five ways to the length in use: survival, time until it is right.
 
     200 simulated flights of 12 s on the 0.4 m circle (8 s), of the printed fitness 40, uniform rods, the same noise for
     all ways. In brackets: 95 % intervals, of shares binomial, of mean times by a bootstrap over flights, of the 95 %

@@ -1,4 +1,4 @@
-"""What the motion of two tracked points tells: distance, effective length and seat height are three parts of one curve.
+"""Identifiability from two tracked points: distance, effective length and seat height are parts of one response.
 
 Linear, per axis, in bounded motion. With e the horizontal part of the vehicle's z axis, rho the distance from the seat
 to the rod's tracked point, L_e the effective length, h the height of the seat above the tracked point of the vehicle
@@ -119,14 +119,14 @@ def deviations(flight: Flight, seconds: float, below: NDArray) -> NDArray:
 
 
 def fig15_identifiability(hover: Flight, circle: Flight) -> Figure:
-    """Fig. 15: what the motion of two tracked points tells about a rod, by frequency; uniform rod of 1 m, seat at 8 cm.
+    """Fig. 15: identifiability of a rod from two tracked points, by frequency; uniform rod of 1 m, seat at 8 cm.
 
     Top: difference of the two points over the horizontal part e of the vehicle's body axis, for four rods; rho is the
     distance from the seat to the rod's tracked point, Le the effective length, h the seat's height. Middle: tilt in two
     recorded flights (simulated), averaged over segments of 8 s, with the 95 % intervals of a spectrum of random motion
     (chi-square), and the noise of its measurement (grey). Bottom: standard deviations that 2.5 s of motion up to a
-    frequency allow (dotted: hover). Below half a hertz only the sum rho + h is known; what tells the three apart is
-    motion above the bend of the curves.
+    frequency allow (dotted: hover). Below half a hertz only the sum rho + h is known; motion above
+    the bend of the curves separates the three.
     """
     for flight in (hover, circle):
         measures.need(flight, "truth_state")

@@ -1,4 +1,4 @@
-"""How estimates suffer when the vehicle and its laboratory differ from what the estimator presumes.
+"""Errors of the estimates when the vehicle and its laboratory differ from the estimator's assumptions.
 
 The study ``estimators`` presumes that all but the state and the length is known exactly. Here one thing at a time is
 not, by as much as one meets in a laboratory, and then all of them together. One case is one flight of the 0.4 m circle
@@ -42,7 +42,7 @@ CIRCLE = Circle(0.4, 8.0)
 
 @dataclass(frozen=True)
 class Imperfection:
-    """What is otherwise than the estimator is told.
+    """The differences between the laboratory and the estimator's assumptions.
 
     ``late`` and ``jitter`` are mean and standard deviation in s of how much later a command acts; ``lag`` in s is added
     to the inner loop's; ``gain`` multiplies body rates, ``thrust`` the thrust; ``gust`` is the standard deviation in
@@ -138,7 +138,7 @@ def misread(flight: Flight, imperfection: Imperfection) -> Flight:
 
 
 def table11_imperfections(rows: Rows) -> Table:
-    """Table 11: two estimators when vehicle and laboratory are not quite as stated: what is left of their answers.
+    """Table 11: errors of two estimators when vehicle and laboratory differ from what is stated.
 
     The genetic algorithm on derived states and the estimate from raw poses, on 20 simulated flights of the 0.4 m circle
     (8 s) for each imperfection, uniform rod of 1 m, pooled over 3 windows of 5.4 s or 5 of 2.5 s a flight; in brackets:
@@ -157,13 +157,13 @@ def table11_imperfections(rows: Rows) -> Table:
 
 
 def _error(rows: Rows, name: str, decimals: int) -> str:
-    """The RMS error of an estimator with its interval, mm."""
+    """Return the RMS error of an estimator with its interval, mm."""
     found = resampled(answered(rows, name), pooled_rms, f"n_{name}", f"rms_{name}")
     return ranged(*(1e3 * value for value in found), decimals)
 
 
 def _answered(rows: Rows, name: str) -> str:
-    """The share of its windows that an estimator answered, %."""
+    """Return the share of its windows that an estimator answered, %."""
     answered, refused = (sum(row[f"{column}_{name}"] for row in rows) for column in ("n", "refused"))
     return f"{100 * answered / (answered + refused):.0f}"
 

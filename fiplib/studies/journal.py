@@ -70,7 +70,7 @@ class Journal:
         self.columns = columns
 
     def key(self, case: dict) -> tuple[str, ...]:
-        """The key columns of a case, as text."""
+        """Return the key columns of a case, as text."""
         return tuple(text(case[name]) for name in self._keys)
 
     def append(self, case: dict, result: dict) -> None:
@@ -105,7 +105,7 @@ class Journal:
         self._begun = False
 
     def holds(self, cases: Iterable[dict]) -> int:
-        """How many of the cases it holds."""
+        """Return how many of the cases it holds."""
         return sum(self.key(case) in self.rows for case in cases)
 
 

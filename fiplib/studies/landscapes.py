@@ -1,8 +1,8 @@
-"""What every reading of the fitness says about all 18 001 lengths, on the same windows of simulated flights.
+"""The fitness of all 18 001 lengths in each of its interpretations, on the same windows of simulated flights.
 
-One factor at a time is moved away from ``DEFAULT``: the excitation, the noise covariances that the filter is told, the
+One factor at a time is moved away from ``DEFAULT``: the excitation, the noise covariances that the filter assumes, the
 number of samples in the window, the sampling rate, the rod's inertia about its COM (the filter has none). Each setting
-is read in each of ``READINGS``; a row sums up ``len(SEEDS) * len(ENDS)`` windows. The rod is 1 m long.
+is evaluated in each of ``READINGS``; a row sums up ``len(SEEDS) * len(ENDS)`` windows. The rod is 1 m long.
 
 153 rows, about 12 minutes of one core.
 """
@@ -32,7 +32,7 @@ KEYS = ("factor", "excitation", "noise", "samples", "rate", "rod", "reading")
 """``samples`` in a window, sampling ``rate`` in Hz; ``factor`` names the one that differs from ``DEFAULT``."""
 
 READINGS = tuple(name for name in kalman.READINGS if name != "paper")
-"""Every distinct reading; the paper's own is 'printed_posterior'."""
+"""Every distinct interpretation; the paper's own is 'printed_posterior'."""
 
 EXCITATIONS: dict[str, Reference] = {
     "circle 0.4 m / 8 s": Circle(0.4, 8.0),
@@ -76,14 +76,14 @@ RISE = 0.01
 
 
 def cases() -> list[dict[str, Any]]:
-    """The default setting, then each factor on its own, each in every reading."""
+    """Return the default setting, then each factor on its own, each in every interpretation."""
     settings = [{"factor": "none", **DEFAULT}]
     settings += [{"factor": factor, **DEFAULT, factor: value} for factor, values in VARIED.items() for value in values]
     return [{**setting, "reading": reading} for setting in settings for reading in READINGS]
 
 
 def run(case: dict[str, Any]) -> dict[str, float | int]:
-    """Landscapes of one reading at one setting, summed up by ``summary``."""
+    """Landscapes of one interpretation at one setting, summed up by ``summary``."""
     params = params_of(case)
     estimation = params.estimation
     windows = windows_of(case["excitation"], params)
@@ -99,7 +99,7 @@ def run(case: dict[str, Any]) -> dict[str, float | int]:
 
 
 def params_of(case: dict[str, Any]) -> Params:
-    """The parameters of a case: of the flight its rod, of the estimator the rest.
+    """Return the parameters of a case: of the flight its rod, of the estimator the rest.
 
     Q_e is the variance that a sampling period adds: it is taken in proportion to the period.
     """
@@ -120,7 +120,7 @@ def params_of(case: dict[str, Any]) -> Params:
 
 
 def windows_of(excitation: str, params: Params) -> list[Window]:
-    """The windows of ``SEEDS`` flights that end nearest to ``ENDS``, as the estimator would be given them."""
+    """Return the windows of ``SEEDS`` flights that end nearest to ``ENDS``, as the estimator would be given them."""
     often = params.replace(estimation__run_period=0.1)
     chosen = []
     for seed in SEEDS:
@@ -151,7 +151,7 @@ def landscapes(windows: Sequence[Window], estimation: Estimation) -> tuple[NDArr
 
 
 def summary(lengths: NDArray, fitness: NDArray, true: float, likelihood: bool) -> dict[str, float]:
-    """What W landscapes ``fitness`` (W, C) of evenly spaced ``lengths`` (C,) in m say together; ``true`` in m.
+    """Return a summary of W landscapes ``fitness`` (W, C) of evenly spaced ``lengths`` (C,) in m; ``true`` in m.
 
     Returns:
         ``bias`` and ``spread``: mean error and standard deviation of the best lengths, m.
@@ -209,20 +209,20 @@ CURVE_LENGTHS = tuple(centimetres / 100 for centimetres in range(20, 201))
 
 
 class Curves:
-    """The landscapes themselves, for a figure: every reading on one window, with calibrated and with unit noise."""
+    """The landscapes themselves, for a figure: every interpretation on one window, with calibrated and unit noise."""
 
     KEYS = ("reading", "noise", "length")
 
     @staticmethod
     def cases() -> list[dict[str, Any]]:
-        """Each reading, each noise, each length."""
+        """Each interpretation, each noise, each length."""
         return [{"reading": r, "noise": n, "length": l} for r in READINGS for n in CURVE_NOISES for l in CURVE_LENGTHS]
 
     @staticmethod
     def run(case: dict[str, Any]) -> dict[str, float]:
         """``fitness`` of one length, and ``normalised``: its rise above the best of ``CURVE_LENGTHS``.
 
-        The unit of the rise is that of the median length, so that half the interval lies below 1 in every reading.
+        The unit of the rise is that of the median length, so that half the interval lies below 1 for every fitness.
         """
         fitness, normalised = _curve(case["reading"], case["noise"])
         index = int(np.abs(np.array(CURVE_LENGTHS) - case["length"]).argmin())
@@ -244,11 +244,11 @@ SHOWN_READINGS = {
     "rk4_prior": "prior residual",
     "rk4_likelihood": "likelihood",
 }
-"""Readings of the fitness, as figures and tables name them."""
+"""Interpretations of the fitness, as figures and tables name them."""
 
 
 def fig8_landscapes(curves: Rows) -> Figure:
-    """Fig. 8: what four variants of the fitness say about every length, on one and the same simulated window.
+    """Fig. 8: four variants of the fitness as functions of the length, on the same simulated window.
 
     55 samples in steps of 0.1 s of the 0.4 m circle (8 s), uniform rod of 1 m (vertical line), lengths in steps of
     1 cm; dots: the best length. Left: our calibrated noise covariances; right: unit ones, as the paper prints none.
@@ -292,7 +292,7 @@ def table9_landscapes(rows: Rows) -> Table:
 
 
 def _setting(row: dict) -> str:
-    """What differs from the default in a row of the study 'landscapes'."""
+    """Return the name of the setting that differs from the default in a row of the study 'landscapes'."""
     if row["factor"] == "none":
         return "default"
     noise = str(row["noise"]).replace("Q_e", "$Q_e$").replace("R_e", "$R_e$").replace("*", r"$\times$")

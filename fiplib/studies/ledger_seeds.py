@@ -39,7 +39,7 @@ KEYS = ("variant", "scenario", "seed")
 SEEDS, VARIANT_SEEDS = 40, 20
 
 FIRST_SEEDS = {"estimate-1.2": 41, "estimate-1.4": 81}
-"""From each first length other seeds: after the first update nothing but the noise tells these flights apart."""
+"""Other seeds for each first length: after the first update these flights differ by the noise alone."""
 
 PUSHES, CIRCLE, JUMP, HOVER = ("push-hover",), ("circle-0.8",), ("length-jump",), ("estimate-1.2",)
 STARTS = ("estimate-0.8", "estimate-1.2", "estimate-1.4")
@@ -63,7 +63,7 @@ FLOWN = {
     ),
     "length-jump": (quantities.survived_change, quantities.fatal_change, quantities.command_ratio),
 }
-"""What is measured on the flights of each scenario."""
+"""The quantities that are measured on the flights of each scenario."""
 
 ESTIMATED = (
     *(quantities.final_length, quantities.converged, quantities.late_share),
@@ -72,13 +72,15 @@ ESTIMATED = (
 SWAYED = (*FLOWN["circle-0.8"], quantities.height_sway, quantities.yaw_sway)
 
 WRONG, SINCE, OUTLIER, PERIOD, LASTING = 1.85, 6.0, 2.0, 0.2, 15.0
-"""A length 0.85 m too long in m, told from a time in s on; an outlier's duration, the period of hand-overs and what is
-flown after the first, all in s."""
+"""A length 0.85 m too long, in m, that the pilot is given from a time in s on; an outlier's duration, the period of
+hand-overs and the time flown after the first, all in s."""
 
 
 class Variant(NamedTuple):
-    """What is changed in the parameters and in the scenario, the scenarios that are flown with it, the number of seeds,
-    and what is measured (None: what is in the default)."""
+    """A change of parameters and scenario, the scenarios flown with it, the number of seeds, the quantities measured.
+
+    A quantity of None is that of the default.
+    """
 
     changes: Mapping[str, Any]
     scenarios: tuple[str, ...]
@@ -154,7 +156,7 @@ class Swaying(Plant):
 
 
 def cases() -> list[dict]:
-    """The default and the variants of the flight, in their scenarios, over their seeds."""
+    """Return the default and the variants of the flight, in their scenarios, over their seeds."""
     return _cases(of_estimator=False)
 
 
@@ -169,18 +171,18 @@ def _cases(of_estimator: bool) -> list[dict]:
 
 
 def scenario_of(case: dict) -> Scenario:
-    """The flight of a case."""
+    """Return the flight of a case."""
     scenario, variant = SCENARIOS[case["scenario"]], VARIANTS[case["variant"]]
     params = scenario.params.replace(**variant.changes)
     return dataclasses.replace(scenario, params=params, seed=case["seed"], **variant.flown)
 
 
 def run(case: dict) -> dict[str, float | int | str]:
-    """The numbers of one flight.
+    """Return the numbers of one flight.
 
     Returns:
         survived (0 or 1) and flown (s); for each of ``COLUMNS`` what the function of that name in ``quantities`` or
-        ``feasibility`` says. NaN: it is not measured in this scenario, or the flight fell where nobody told a length.
+        ``feasibility`` says. NaN: it is not measured in this scenario, or the flight fell and no length was given.
     """
     scenario, variant = scenario_of(case), VARIANTS[case["variant"]]
     flight: Flight = fly(scenario, vehicle=Swaying) if case["variant"] == "swaying" else next(fly_many([scenario]))
@@ -234,7 +236,7 @@ def table5_seeds(rows: Rows) -> Table:
 
 
 def table6_readings(default: Rows, readings: Rows) -> Table:
-    """Table 6: the length that the estimator's flights come to under other interpretations of the paper.
+    """Table 6: the final length of the estimator's flights under other interpretations of the paper.
 
     Simulated flights of 25 s on the 0.4 m circle from two first lengths, a rod of 1 m: 40 flights of the default, 20 of
     each other interpretation and of the paper's remedy (exploring). Median with its 95 % interval, RMS error, the

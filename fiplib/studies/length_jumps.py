@@ -1,4 +1,4 @@
-"""G6: how far may the used length jump at once, and what do small steps mend?
+"""G6: the largest survivable jump of the used length, and the benefit of small steps.
 
 On the 0.4 m circle, with the true length of 1 m in use, the pilot is given another length every 0.2 s, as a stream of
 estimates would do: to the end of the flight (``lasting`` "to the end"), or for 2 s and then the true length again
@@ -22,7 +22,7 @@ from fiplib.studies.batch import fly_many
 from fiplib.studies.survival import RODS
 
 KEYS = ("length", "rod", "change", "lasting")
-"""``length`` told in m; ``rod`` is a name in ``RODS``."""
+"""``length`` given to the pilot, in m; ``rod`` is a name in ``RODS``."""
 
 TRUE_LENGTH = 1.0
 LENGTHS = tuple(tenths / 10 for tenths in range(2, 21) if tenths != 10)
@@ -33,8 +33,8 @@ CHANGES = {"at once": math.inf, "in steps": STEP}
 LASTING = {"to the end": math.inf, "2 s": 2.0}
 
 START, SECONDS, PERIOD = 6.0, 15.0, 0.2
-"""The jump comes at ``START`` s, a second after the circle's full speed; flown are ``SECONDS`` more; a length is told
-every ``PERIOD`` s."""
+"""The jump is at ``START`` s, a second after the circle has full speed; the flight lasts ``SECONDS`` more; the pilot is
+given a length every ``PERIOD`` s."""
 
 SEEDS = (1, 2)
 CIRCLE = Circle(radius=0.4, period=8.0)
@@ -49,7 +49,7 @@ def run(case: dict) -> dict[str, float | int | str]:
     """Survival of one case.
 
     Returns:
-        growth_rate (1/s) of the linear loop with the told length; jump (m); survived (flights of ``SEEDS``), flown
+        growth_rate (1/s) of the linear loop with the given length; jump (m); survived (flights of ``SEEDS``), flown
         (shortest time from the jump to a fall, s, at most ``SECONDS``); rate_ratio (RMS of the commanded body rates
         after the jump over that of the 3 s before it, largest of the flights).
     """

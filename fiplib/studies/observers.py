@@ -1,10 +1,10 @@
-"""What a calmer state observer gains, and what it costs the estimate of the length.
+"""The benefit of a calmer state observer, and its cost for the estimate of the length.
 
 A case is one simulated flight of the default vehicle and rod under one observer of ``OBSERVED``: "hover" and "circle"
 with the rod's length in use, "pushes" in hover with the pushes of the scenario ``push-hover`` and another ``length`` in
-use. Beside what becomes of the flight, a row has the margins of the linear loop and, of hover and circle, what windows
-of ``SECONDS`` say of the length: the Cramer-Rao bound, and the pose estimator's stated deviation and error. What was
-found: docs/studies.md. 1200 rows, about 4 minutes of one core.
+use. Beside the outcome of the flight, a row has the margins of the linear loop and, for hover and circle, the
+results for the length in windows of ``SECONDS``: the Cramer-Rao bound, and the pose estimator's stated deviation and
+error. Findings: docs/studies.md. 1200 rows, about 4 minutes of one core.
 """
 
 import itertools
@@ -99,7 +99,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def _quiet(flight: Flight | None) -> dict[str, float]:
-    """The columns of hover and circle; nan of another flight."""
+    """Return the columns of hover and circle; nan of another flight."""
     if flight is None:
         names = *LINEAR, "rate", "error", "bound", *(f"{name}{kind}" for kind in KNOWN for name in ESTIMATED)
         return dict.fromkeys(names, math.nan)
@@ -168,13 +168,13 @@ COLOURS = dict(zip(OBSERVED, ((ORANGE, "o"), (BLUE, "s"), (GREEN, "^"), (PURPLE,
 
 
 def fig18_observers(rows: Rows) -> Figure:
-    """Fig. 18: observers: who survives pushes with a wrong length, and what calm commands cost the length estimate.
+    """Fig. 18: observers: survival of pushes with a wrong length, and the cost of calm commands for the estimate.
 
     20 simulated flights at each point, a uniform rod of 1 m; bars: 95 % intervals (Wilson's above, of the mean below).
     Above: three pushes in hover, by the length in use. Below: standard deviation of the length from windows of 2.5 s,
     over the RMS rate command, in hover (filled) and on the 0.4 m circle (open): the Cramer-Rao bound if the commands
     are known, and the deviation that the estimate from poses alone states. A Kalman filter needs a quarter of the
-    commands and survives lengths a tenth longer; the calmer the commands, the less the poses tell.
+    commands and survives lengths a tenth longer; the calmer the commands, the less informative the poses.
     """
     figure = Figure(figsize=(COLUMN, 4.1), layout="constrained")
     panels = figure.subplot_mosaic([["up", "up"], ["bound", "deviation"]])
@@ -209,7 +209,7 @@ def _cell(rows: Rows, flight: str, observer: str, column: str, factor: float) ->
 
 
 def table15_observers(rows: Rows) -> Table:
-    """Table 15: the observers: commands, errors, margins, pushes, and what is left to tell the length.
+    """Table 15: the observers: commands, errors, margins, pushes, and the deviation of the length.
 
     Means over 20 simulated flights with half their 95 % intervals (normal), a uniform rod of 1 m; the last six lines
     are standard deviations of the length from windows of 2.5 s. A length survives where more than half of the flights

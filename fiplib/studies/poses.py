@@ -1,4 +1,4 @@
-"""Does the interval of the pose estimator hold the length, whatever was not stated? (docs/studies.md)
+"""Coverage of the pose estimator's interval, whatever was not stated (docs/studies.md).
 
 A case is one simulated flight of 16 s; its columns summarise four windows of 2.5 s, in which only the poses of vehicle
 and rod are seen: no commands, no thrust, no delays. The poses are made from the true states here, with fresh noise: the
@@ -289,12 +289,12 @@ def refusal(rows: Rows, condition: str) -> tuple[float, float, float]:
 
 
 def fig16_coverage(rows: Rows) -> Figure:
-    """Fig. 16: share of stated 95 % intervals that hold the length, and share of windows refused, by condition.
+    """Fig. 16: share of stated 95 % intervals that cover the length, and share of windows refused, by condition.
 
     The estimate from poses alone, 20 simulated flights of 4 windows of 2.5 s for each condition; bars: 95 % intervals,
     bootstrap over flights, or Wilson's where all windows or none count. Blue: the rod's middle is tracked and that is
-    stated; orange: nothing is stated; purple: something is stated that is not so. Lines at 95 and 90 %. Where fewer
-    than 8 windows are answered no share is drawn. Wherever the estimator answers, 93 to 100 % of the intervals hold;
+    stated; orange: nothing is stated; purple: something is stated wrongly. Lines at 95 and 90 %. Where fewer
+    than 8 windows are answered no share is drawn. Where the estimator answers, 93 to 100 % of the intervals cover it;
     wrong statements are refused.
     """
     figure = Figure(figsize=(COLUMN, 5.2), layout="constrained")

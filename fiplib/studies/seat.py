@@ -1,4 +1,4 @@
-"""What must the pilot know of its seat? Rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
+"""The pilot's knowledge of its seat: rods on a seat 8 cm above the tracked frame, known rightly, wrongly or not.
 
 A case is a flight (a hover with pushes, or the 0.4 m circle), a uniform rod whose length the pilot knows, the height at
 which its seat really is above the vehicle's tracked frame, and the height that the pilot takes it to be. The seat at
@@ -31,7 +31,7 @@ KEYS = ("motion", "length", "seat", "stated")
 LENGTHS = (0.4, 0.7, 1.0, 1.5)
 SEAT = 0.08
 STATED = (0.0, 0.04, 0.06, 0.08, 0.10, 0.12)
-"""What the pilot takes for the seat's height, m; 0: it does not know of a seat."""
+"""The seat height that the pilot assumes, m; 0: it assumes no raised seat."""
 
 SEEDS = range(20)
 
@@ -93,7 +93,7 @@ def _median(name: str, values: list[float]) -> dict[str, float]:
 
 
 def _error(flight: Flight, motion: Scenario) -> float:
-    """The rms distance, in m, of the true seat from its reference once the flight has settled."""
+    """Return the rms distance, in m, of the true seat from its reference once the flight has settled."""
     times = flight.time(flight.truth_state)
     settled = times >= SETTLED
     away = flight.truth_state.values[settled][:, [X, Y]] - motion.reference.at(times[settled])[:, [X, Y]]
@@ -172,7 +172,7 @@ def _cell(values: list[float]) -> str:
 
 
 def table14_seat(rows: Rows) -> Table:
-    """Table 14: what the pilot knows of its seat: who stays up, the error, the largest lean and the rate commands.
+    """Table 14: the pilot's seat height: survival, the error, the largest lean and the rate commands.
 
     20 simulated flights of 20 s in each cell, in hover with three pushes and on the 0.4 m circle (8 s); behind the
     number that stays up its exact 95 % interval in per cent. RMS error, largest lean and RMS rate command are medians
@@ -206,7 +206,7 @@ def table14_seat(rows: Rows) -> Table:
 
 
 def _row(rows: Rows, *case: str | float) -> dict:
-    """The row of a case, given in the order of ``KEYS``."""
+    """Return the row of a case, given in the order of ``KEYS``."""
     return next(row for row in rows if tuple(row[key] for key in KEYS) == case)
 
 

@@ -46,7 +46,7 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def _quantities(flight: Flight) -> list[NDArray]:
-    """The quantities of a flight at ``TIMES``."""
+    """Return the quantities of a flight at ``TIMES``."""
     answers = np.column_stack((measures.used_length(flight)[1], flight.length.values[:, 1:]))
     answered = np.searchsorted(flight.time(flight.length), TIMES, side="right") - 1
     used, estimate, deviation = answers[np.maximum(answered, 0)].T

@@ -1,8 +1,9 @@
-"""Where does the MPC survive a wrong length? Linear stability and simulated survival, side by side.
+"""The wrong lengths with which the rod stays up: linear stability and simulated survival, side by side.
 
 A case is a length that the MPC uses, the rod's true length and its inertia. A row has what linear theory says of the
-loop (``margins``: delay and lag included, bounds and noise not) and what becomes of flights on the 0.4 m circle. Why
-too short a length flies and too long a one falls: docs/studies.md. 666 rows, about a minute of one core.
+loop (``margins``: delay and lag included, bounds and noise not) and the outcome of flights on the 0.4 m circle. The
+reason why the rod stays up with too short a length and falls with too long a one is in docs/studies.md. 666 rows, about
+a minute of one core.
 """
 
 import itertools
@@ -74,11 +75,11 @@ def run(case: dict) -> dict[str, float | int | str]:
 
 
 def fig7_survival(rows: Rows) -> Figure:
-    """Fig. 7: where the MPC survives a wrong length: linear theory, and simulated flights of 12 s on the 0.4 m circle.
+    """Fig. 7: survival with a wrong length: linear theory, and simulated flights of 12 s on the 0.4 m circle.
 
     From above: growth rate of the linear loop (blue: stable), its delay margin (none where it is unstable), and the
-    shorter of 2 simulated flights, seeds 1 and 2, at each of 333 pairs of lengths; no share can be told from two, but
-    neighbouring points repeat each other. Dashed: the two lengths agree; solid: the border of linear stability on the
+    shorter of 2 simulated flights, seeds 1 and 2, at each of 333 pairs of lengths; two flights give no
+    share, but neighbouring points agree. Dashed: the two lengths agree; solid: the border of linear stability on the
     long side. Rods fall where the length in use is far too long, a little beyond that border, as the oscillation needs
     time to grow; no rod falls with a length that is too short, not even where the delay margin is gone.
     """

@@ -121,7 +121,7 @@ def _workers(client: "Client", name: str) -> dict[str, int]:
 
 
 def _next(completed: Any, client: "Client", name: str) -> tuple[Any, Any]:
-    """The next finished (future, result); an error when no worker has been left for a while."""
+    """Return the next finished (future, result); an error when no worker has been left for a while."""
     alive = time.monotonic()
     while not completed.has_ready():
         time.sleep(0.02)
@@ -148,13 +148,13 @@ def add_arguments(parser: argparse.ArgumentParser, known: Mapping[str, str] = st
     """Declare the options of ``fip sweep`` for the studies ``known``, addresses by name."""
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"a study: {', '.join(known)}")
     parser.add_argument("--all", action="store_true", help="every study")
-    parser.add_argument("--list", action="store_true", help="say what the studies are, and stop")
-    parser.add_argument("--limit", type=int, metavar="N", help="run at most N cases of each study, as a trial")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes of the local cluster; default: one a core")
-    there = "use the Dask scheduler that runs there, like tcp://host:8786; default: $DASK_SCHEDULER_ADDRESS"
+    parser.add_argument("--list", action="store_true", help="list the studies, and exit")
+    parser.add_argument("--limit", type=int, metavar="N", help="run at most N cases of each study")
+    parser.add_argument("--workers", type=int, metavar="N", help="local worker processes (default: one per core)")
+    there = "address of a Dask scheduler, such as tcp://host:8786; default: $DASK_SCHEDULER_ADDRESS"
     default = os.environ.get("DASK_SCHEDULER_ADDRESS")
     parser.add_argument("--scheduler", metavar="ADDRESS", default=default, help=there)
-    parser.add_argument("--fresh", action="store_true", help="forget the rows of these studies and start anew")
+    parser.add_argument("--fresh", action="store_true", help="delete the stored rows of these studies and start again")
     parser.add_argument("--data", type=Path, default=DIRECTORY, metavar="FOLDER", help="default: %(default)s")
 
 

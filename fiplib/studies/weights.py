@@ -1,9 +1,10 @@
-"""The search for one set of weights under which every row of the ledger that weights decide is met at once.
+"""The search for one set of weights that satisfies all rows of the ledger that depend on weights.
 
 The criterion, stated before the search. A candidate passes if
 
 1. *linear*: with delay, lag and observer (``margins``) the loop is stable at every l0 flown, 0.8, 1.0, 1.2 and 1.4 m,
-   for a rod of 1 m, point mass and uniform, and bears a further delay of ``DELAY``. Who fails is not flown;
+   for a rod of 1 m, point mass and uniform, also with a further delay of ``DELAY``. A candidate that fails is not
+   flown;
 2. *starts*: on the 0.4 m circle it stays up from l0 = 0.8, 1.2 and 1.4 m for ``START_SECONDS``, until the estimator's
    first window is full;
 3. *ledger*: in shortened flights of ``push-hover`` and ``circle-0.8`` the rows ``NEEDED`` hold, by ``claims``' own
@@ -39,8 +40,8 @@ STARTS = (0.8, 1.0, 1.2, 1.4)
 """Every length l0, in m, with which a flight of the ledger starts on a rod of 1 m."""
 
 DELAY = 1.0 / 240.0
-"""Further delay in s that a loop must bear: a lost frame of motion capture. It also covers the 16 ms that were measured
-at most for the inner loop, where 12.5 ms are simulated."""
+"""Further delay in s with which a loop must stay stable: a lost frame of motion capture. It also covers the inner loop,
+whose delay was measured to be at most 16 ms and is 12.5 ms in the simulator."""
 
 START_SECONDS = 6.0
 
@@ -67,7 +68,7 @@ PUSHES = tuple(
 """The recorded impulses, closer together."""
 
 FLIGHTS = {"push-hover": {"duration": 17.0, "pushes": PUSHES}, "circle-0.8": {"duration": 14.5}}
-"""What is changed in the recorded flights: the circle has one whole lap at full speed."""
+"""Changes to the recorded flights: the circle has one whole lap at full speed."""
 
 
 def cases() -> list[dict]:
@@ -83,7 +84,7 @@ def cases() -> list[dict]:
 
 
 def run(case: dict) -> dict[str, float | int | str]:
-    """The score of one candidate.
+    """Return the score of one candidate.
 
     Its weights; growth_rate (1/s), delay_margin (s) and disk_margin, each the worst over ``STARTS`` and ``RODS``;
     linear; starts (of 3 flights, those that stay up) and start_lean (|a| or |b| at most, m); for each row of the
@@ -132,7 +133,7 @@ def _weighted(
 
 
 def _starts(params: Params) -> dict[str, float]:
-    """Flights with a wrong length that nobody mends."""
+    """Flights with a wrong length that is not corrected."""
     up, leans = 0, []
     for start in STARTS:
         if start != params.pendulum.length:
@@ -145,7 +146,7 @@ def _starts(params: Params) -> dict[str, float]:
 
 
 def _ledger(scenario: Scenario) -> dict[str, float]:
-    """The rows of the ledger that are read from this flight; none holds if it falls."""
+    """Return the rows of the ledger that are read from this flight; none holds if it falls."""
     [flight] = fly_many([scenario])
     row = {}
     for id in (*NEEDED, *ALSO):

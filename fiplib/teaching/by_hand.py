@@ -20,7 +20,7 @@ from fiplib.estimators.base import Estimate
 from fiplib.estimators.windows import RawWindow
 from fiplib.kalman import Window
 from fiplib.mpc import Solution
-from fiplib.params import A_DOT, B_DOT, NANO, X_DOT, Y_DOT, A, B, Params, X, Y
+from fiplib.params import A_DOT, B_DOT, NANO, X_DOT, Y_DOT, A, B, FipError, Params, X, Y
 from fiplib.pilot import Pilot, Tick
 from fiplib.recording import EPOCH, Flight, MemoryRecorder
 from fiplib.references import Circle, Hover, Reference
@@ -121,11 +121,21 @@ class Target(Reference):
 
 
 class OpenPilot(Pilot):
-    """The pilot, with a controller that may be replaced in flight."""
+    """The pilot, with a controller that may be replaced in flight.
 
-    def __init__(self, params: Params, reference: Reference, controller: Controller | None = None) -> None:
+    ``make`` makes it of the parameters; FipError: it returns ``None``, as where a ``return`` was forgotten.
+    """
+
+    def __init__(self, params: Params, reference: Reference, make: Callable[[Params], Controller]) -> None:
         super().__init__(params, reference)
-        self.controller: Controller = controller or controller_of(params)
+        self.use(make, params)
+
+    def use(self, make: Callable[[Params], Controller], params: Params) -> None:
+        """Fly on with another controller."""
+        made = make(params)
+        if made is None:
+            raise FipError("the function that makes the controller returns None: let it return the controller")
+        self.controller: Controller = made
 
     def solve(self, tick: Tick) -> Solution:
         return self.controller.solve(tick.state, tick.reference, self.length)
@@ -173,6 +183,8 @@ class HandFlight:
         estimator: a name in ``estimators.ESTIMATORS``, or ``NO_ESTIMATE``.
         own: a controller (params) -> Controller to fly instead of the one that ``controller`` names.
         seed: of noise and first lean.
+
+    Raises FipError, ValueError: a name is not known, or a length not possible.
     """
 
     def __init__(
@@ -185,6 +197,9 @@ class HandFlight:
         own: Callable[[Params], Controller] | None = None,
         seed: int = 1,
     ) -> None:
+        for name, known in ((estimator, (NO_ESTIMATE, *ESTIMATORS)), (weights, WEIGHTS)):
+            if name not in known:
+                raise FipError(f"{name!r} is none of {', '.join(map(repr, known))}")
         chosen: dict[str, Any] = {"estimation__median_length": 1}  # a length from the slider is used at once
         if estimator != NO_ESTIMATE:
             trusted = ESTIMATORS[estimator].streams  # the one that says how sure it is
@@ -194,13 +209,13 @@ class HandFlight:
             pendulum__length=rod_length, piloting__initial_length=used_length, control__state_weights=WEIGHTS[weights],
             piloting__controller=controller, **chosen,
         )  # fmt: skip
-        self._own = own
+        self._make = own or controller_of
         self.target = Target()
         scenario = Scenario(
             "by-hand", "Flown by hand in a browser", LONGEST, self.target, params=self.params, seed=seed
         )
         self.vehicle = SimulatedVehicle(scenario)
-        self.pilot = OpenPilot(self.params, self.target, self._controller())
+        self.pilot = OpenPilot(self.params, self.target, self._make)
         self._estimator = BackgroundEstimator(self.params, seed) if estimator != NO_ESTIMATE else None
         self._tape = MemoryRecorder()
         receive = self.pilot.receive_estimate
@@ -229,7 +244,12 @@ class HandFlight:
         return self._lengths.latest
 
     def push(self, x: float, y: float, duration: float = 0.05) -> None:
-        """Push the rod's centre of mass with an impulse (x, y) in N s, beginning with the next frame."""
+        """Push the rod's centre of mass with an impulse (x, y) in N s, beginning with the next frame.
+
+        Raises FipError: they are not finite.
+        """
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise FipError(f"an impulse must be two finite numbers in N s, not {x!r} and {y!r}")
         begin = (self.vehicle.flown or 0) / self.vehicle.rate
         self.vehicle.pushes = PushSchedule([Push(begin, (x, y), duration)], self.vehicle.rate)
 
@@ -240,18 +260,19 @@ class HandFlight:
 
     def use_weights(self, name: str) -> None:
         """Give the controller other state weights, one of ``WEIGHTS``."""
-        self.params = self.params.replace(control__state_weights=WEIGHTS[name])
-        self.pilot.controller = self._controller()
+        self._use(self._make, self.params.replace(control__state_weights=WEIGHTS[name]))
 
     def use_controller(self, name: str) -> None:
         """Fly on with another controller of ``controllers.CONTROLLERS``."""
-        self._own, self.params = None, self.params.replace(piloting__controller=name)
-        self.pilot.controller = self._controller()
+        self._use(controller_of, self.params.replace(piloting__controller=name))
 
     def use_own(self, own: Callable[[Params], Controller]) -> None:
         """Fly on with a controller that ``own`` makes of the parameters."""
-        self._own = own
-        self.pilot.controller = self._controller()
+        self._use(own, self.params)
+
+    def _use(self, make: Callable[[Params], Controller], params: Params) -> None:
+        self.pilot.use(make, params)  # first: where it fails, all stays as it was
+        self._make, self.params = make, params
 
     def flight(self) -> Flight:
         """Return what has been flown so far, as a recorded flight."""
@@ -270,9 +291,6 @@ class HandFlight:
         if self._estimator is not None:
             self._estimator.close()
 
-    def _controller(self) -> Controller:
-        return self._own(self.params) if self._own else controller_of(self.params)
-
 
 def flown(
     scenario: Scenario,
@@ -285,7 +303,7 @@ def flown(
     estimator that the parameters name.
     """
     params, tape = scenario.params, MemoryRecorder()
-    vehicle, pilot = SimulatedVehicle(scenario), OpenPilot(params, scenario.reference, controller(params))
+    vehicle, pilot = SimulatedVehicle(scenario), OpenPilot(params, scenario.reference, controller)
     estimator = SimulatedEstimator(params, scenario.seed, estimate)
     lengths = LengthUpdates(scenario, estimator, lambda _, *answer: pilot.receive_estimate(*answer), tape)
     for _ in frames(scenario, vehicle, pilot, lengths, tape):

@@ -45,6 +45,8 @@ class FlyingPendulum(gymnasium.Env):
         reference: what to follow; by default a hover at (0, 0, 1.3) m.
         seconds: after which an episode is truncated.
         lengths: shortest and longest rod in m, drawn uniformly at each reset; by default always that of ``params``.
+
+    Raises FipError: ``seconds`` or ``lengths`` are no such numbers, or an action is not two finite ones.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
@@ -58,6 +60,11 @@ class FlyingPendulum(gymnasium.Env):
     ) -> None:
         self._params = params or Params()
         self._reference: Reference = reference or Hover()
+        if not 0.0 < seconds < np.inf:
+            raise FipError(f"seconds of an episode must be a positive number, not {seconds!r}")
+        if lengths is not None and not (np.shape(lengths) == (2,) and 0.0 < lengths[0] <= lengths[1] < np.inf):
+            raise FipError(f"lengths must be those of the shortest and the longest rod in m, not {lengths!r}")
+        self._advice: NDArray | None = None
         self._frames, self._lengths = round(seconds * self._params.piloting.mocap_rate), lengths
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (10,), np.float64)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
@@ -74,11 +81,13 @@ class FlyingPendulum(gymnasium.Env):
         self._length = params.pendulum.length
         self._vehicle = SimulatedVehicle(Scenario("reinforcement", "", 1.0, self._reference, params=params, seed=drawn))
         self._pilot, self._frame = Pilot(params, self._reference), 0
-        self._tick = self._observed()
+        self._tick, self._advice = self._observed(), None
         return self._observation(), self._info()
 
     def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, float]]:
         """Fly one control tick with an action (2,); what lies beyond -1 to 1 is cut off."""
+        if np.shape(action) != (2,) or not np.isfinite(action).all():
+            raise FipError(f"an action must be two finite numbers from -1 to 1, not {action!r}")
         action = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         rates = action * self._params.vehicle.max_body_rate
         self._vehicle.command(self._pilot.answer(self._tick, rates, Status.OPTIMAL))
@@ -90,14 +99,16 @@ class FlyingPendulum(gymnasium.Env):
             truncated = self._frame >= self._frames
             tick = self._next()
             if tick is not None:
-                self._tick = tick
+                self._tick, self._advice = tick, None
                 break
         reward = 0.0 if fallen else self._reward(action)
         return self._observation(), reward, fallen, truncated and not fallen, self._info()
 
     def mpc_action(self) -> NDArray:
         """The action (2,) of the MPC, or of another ``piloting.controller``, at the present tick."""
-        return self._pilot.solve(self._tick).input / self._params.vehicle.max_body_rate
+        if self._advice is None:  # once a tick: a controller may remember what it answered
+            self._advice = self._pilot.solve(self._tick).input / self._params.vehicle.max_body_rate
+        return self._advice.copy()
 
     def _next(self) -> Tick | None:
         """Take the frame exposed now; at a control tick, what the pilot knows."""

@@ -63,7 +63,12 @@ class Viewer:
         self.server = open_server("fly it yourself")
         self._scene = Scene(self.server, Params())
         self._build()
-        self.flight_by_hand = self._new_flight()
+        try:
+            self.flight_by_hand = self._new_flight()
+        except BaseException:
+            with quiet():
+                self.server.stop()
+            raise
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
 
@@ -113,9 +118,15 @@ class Viewer:
             raise FipError(f"{', '.join(sorted(unknown))} cannot be chosen: {', '.join(controls)} can")
 
         def set_all() -> None:
-            for name, value in choices.items():
-                controls[name].value = value
-            self._reset()
+            before = {name: controls[name].value for name in choices}
+            try:
+                for name, value in choices.items():
+                    controls[name].value = value
+                self._reset()
+            except Exception:  # what is no choice must not stay chosen
+                for name, value in before.items():
+                    controls[name].value = value
+                raise
 
         self.do(lambda flight: set_all())
 
@@ -243,12 +254,13 @@ class Viewer:
         return flight
 
     def _reset(self) -> None:
-        self.flight_by_hand.close()
+        begun, ended = self._new_flight(), self.flight_by_hand
+        ended.close()
         self._trouble = ""
         for slider in self._target:
             slider.value = 0.0
         self._circle.value = False
-        self.flight_by_hand = self._new_flight()
+        self.flight_by_hand = begun
         self._scene.rod(self.flight_by_hand.params.pendulum.length)
 
     # --- the loop -------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fiplib.controllers import by_axis, controller_of, rates_by_axis, rates_of
+from fiplib.controllers import CONTROLLERS, by_axis, controller_of, rates_by_axis, rates_of
 from fiplib.controllers.geometric import CALMER, QUICKER
 from fiplib.controllers.nmpc import NonlinearMPC, exact_model
 from fiplib.dynamics import axis_matrices, jacobians, prediction_model
@@ -64,6 +64,18 @@ def test_the_same_calls_give_the_same_bits(name):
         return np.array([controller.solve(rng.uniform(-1, 1, 10) * DIRECTION, STILL, 0.9).input for _ in range(10)])
 
     np.testing.assert_array_equal(answers(), answers())
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_state_that_is_not_finite_gets_no_answer(name):
+    with pytest.raises(ValueError, match="must be finite"):
+        controller_of(with_controller(name)).solve(np.full(10, np.nan), STILL, 1.0)
+
+
+def test_noises_for_which_there_is_no_filter_are_named():
+    controller = controller_of(with_controller("offset_free_mpc", estimation__process_noise=(0.0,) * 10))
+    with pytest.raises(ValueError, match=r"estimation\.process_noise"):
+        controller.solve(np.zeros(10), STILL, 1.0)
 
 
 def test_values_by_axis_have_the_common_sign():

@@ -577,12 +577,27 @@ class Trouble:
             return solution
         if self._what == "raise":
             raise RuntimeError("singular")
-        fields = {"status": Status.FAILED} if self._what == "fail" else {"inputs": solution.inputs * math.nan}
+        fields = {
+            "fail": {"status": Status.FAILED},
+            "nan": {"inputs": solution.inputs * math.nan},
+            "nan first": {"input": solution.input * math.nan},
+            "three": {"input": np.zeros(3)},
+            "three planned": {"inputs": np.zeros((1, 3))},
+            "flat": {"inputs": np.zeros(2)},
+            "empty": {"inputs": np.empty((0, 2))},
+        }[self._what]
         return type(solution)(**{**vars(solution), **fields})
 
 
 @pytest.mark.parametrize(
-    ("what", "why"), [("raise", "RuntimeError: singular"), ("fail", "no solution"), ("nan", "not finite")]
+    ("what", "why"),
+    [
+        ("raise", "RuntimeError: singular"),
+        ("fail", "no solution"),
+        ("nan", "not finite"),
+        ("nan first", "not finite"),
+        *((what, "not of two body rates") for what in ("three", "three planned", "flat", "empty")),
+    ],
 )
 def test_up_to_three_failed_solves_are_bridged_by_the_plan(what, why):
     guard, stream = flying()

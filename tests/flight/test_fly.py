@@ -93,6 +93,7 @@ REFUSALS = {
     "a parameter out of range": ("--set", "pendulum.length=-1"),
     "no such estimator": ("--set", "estimation.estimator=crystal_ball"),
     "no duration": ("--duration", "0"),
+    "a negative seed": ("--seed", "-1"),
     "limits without failsafe": ("--set", "safety.pose_level=0.2"),
 }
 

@@ -124,3 +124,13 @@ def test_under_a_sagging_battery_the_height_lags_by_the_formula_of_a_ramp():
     height = fly(Scenario("", "", 12.0, Hover(), params=params)).truth_state.values[-1, 10]
     # the command must grow faster than linearly: by 1/(1 - 0.06)^2 = 1.13 in the end
     assert 1.3 - height == pytest.approx(1.13 * GRAVITY * 0.005 / params.piloting.altitude_gains[1], rel=0.1)
+
+
+@pytest.mark.parametrize("drag", [(10.0, 10.0), (0.0, 0.01), (0.26, 0.0)])
+def test_every_drag_that_is_accepted_is_one_that_the_plant_can_integrate(drag):
+    flight = fly(
+        Scenario("", "", 0.5, Hover(), params=PARAMS.replace(simulation__wind=(0.2, 0.0), simulation__drag=drag))
+    )
+    assert np.isfinite(flight.truth_state.values).all()
+    with pytest.raises(ValueError, match=r"simulation\.drag must be 2 numbers from 0 to 10"):
+        PARAMS.replace(simulation__drag=(1e6, 1e6))

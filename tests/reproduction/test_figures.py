@@ -20,7 +20,7 @@ from fiplib.products import PRODUCTS
 from fiplib.reproduction import bands, sources, tables
 from fiplib.reproduction.style import COLUMN, STYLE
 from fiplib.reproduction.tables import Table
-from fiplib.studies import ablation, imperfections, observers, poses, seat, spread, survival
+from fiplib.studies import ablation, field, imperfections, observers, poses, seat, spread, survival
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
@@ -74,6 +74,7 @@ SEEDS = {
     "fig16-coverage": poses.SEEDS,
     "fig17-seat": seat.SEEDS,
     "fig18-observers": observers.SEEDS,
+    "fig21-field": field.seeds("mpc"),
     "fig19-ablation": ablation.SEEDS,
     "table11-imperfections": imperfections.SEEDS,
     "table13-coverage": poses.SEEDS,

@@ -47,8 +47,11 @@ FLIGHTS = {
     "wind, gusts, a hindered rotor, a battery that sags": Scenario(
         "", "", 2.0, CIRCLE, params=DISTURBED, pushes=(Push(0.5, (0.012, 0.0)),), told_lengths=((1.1, 0.8),)
     ),
+    "a battery is empty, and the vehicle sinks to the ground upright": Scenario(
+        "", "", 2.5, Hover(), params=Params().replace(simulation__battery_sag=1.0)
+    ),
     "other rates": Scenario(
-        "", "", 2.0, CIRCLE, params=Params().replace(piloting__control_rate=100.0, simulation__mocap_latency=0.0)
+        "", "", 2.0, CIRCLE, params=Params().replace(piloting__control_rate=80.0, simulation__mocap_latency=0.0)
     ),
     "a recorded scenario": dataclasses.replace(SCENARIOS["length-jump"], duration=8.0),
 }
@@ -76,6 +79,7 @@ def test_the_flights_above_are_of_every_kind():
     flights = dict(zip(FLIGHTS, batch.fly_many(FLIGHTS.values()), strict=True))
     kinds = {name: {event.kind for event in flight.events} for name, flight in flights.items()}
     assert not flights["the rod falls"].survived
+    assert not flights["a battery is empty, and the vehicle sinks to the ground upright"].survived
     assert {"push", "status"} <= kinds["pushes"] and "length" in kinds["told"] and "fall" in kinds["the rod falls"]
     for name in ("estimated", "estimated without latency", "raw estimates", "runs slower than their period"):
         assert len(flights[name].length.values) > 2, name

@@ -8,7 +8,7 @@ import pytest
 
 from fiplib.controllers import CONTROLLERS, controller_of
 from fiplib.dynamics import z_axis
-from fiplib.params import X_DOT, Y_DOT, X, Y
+from fiplib.params import X_DOT, Y_DOT, FipError, X, Y
 from fiplib.references import Hover
 from fiplib.replay import estimate
 from fiplib.simulate import SCENARIOS, Push, Scenario, fly
@@ -142,3 +142,26 @@ def test_a_flight_by_hand_is_a_recording_from_which_the_length_is_estimated():
     assert recorded.metadata["origin"] == "simulated"
     answer = estimate(recorded)
     assert abs(answer.length - 0.9) < 4 * answer.standard_deviation < 0.1
+
+
+def test_a_function_that_forgets_to_return_its_controller_does_not_fly_the_mpc():
+    with pytest.raises(FipError, match="returns None"):
+        flown(SCENARIOS["push-hover"], lambda params: None)
+    flight = HandFlight()
+    with pytest.raises(FipError, match="returns None"):
+        flight.use_own(lambda params: None)
+    flight.use_weights("position a tenth")
+    flight.advance(2)
+
+
+def test_a_controller_that_is_not_known_leaves_the_flight_as_it_was():
+    flight = HandFlight()
+    with pytest.raises(ValueError, match="must be one of"):
+        flight.use_controller("nonsense")
+    flight.use_weights("position a tenth")
+    assert flight.params.piloting.controller == "mpc"
+
+
+def test_an_impulse_that_is_not_finite_is_refused():
+    with pytest.raises(FipError, match="finite"):
+        HandFlight().push(np.nan, 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from fiplib.params import Params, X
+from fiplib.params import FipError, Params, X
 from fiplib.references import Circle
 from fiplib.simulate import Scenario, fly
 from fiplib.teaching import environment
@@ -85,3 +85,50 @@ def test_an_action_beyond_its_bounds_is_cut_off():
         found, expected = one.step(np.array([5.0, -5.0])), other.step(np.array([1.0, -1.0]))
     np.testing.assert_array_equal(found[0], expected[0])
     assert found[1] == pytest.approx(expected[1], abs=0)
+
+
+def test_who_asks_a_baseline_that_remembers_twice_in_a_tick_gets_the_same_flight():
+    asked_once, asked_twice = (
+        FlyingPendulum(Params().replace(piloting__controller="offset_free_mpc")) for _ in range(2)
+    )
+    for env in (asked_once, asked_twice):
+        env.reset(seed=1)
+    for _ in range(50):
+        once = asked_once.step(asked_once.mpc_action())[0]
+        np.testing.assert_array_equal(asked_twice.mpc_action(), asked_twice.mpc_action())
+        twice = asked_twice.step(asked_twice.mpc_action())[0]
+    np.testing.assert_array_equal(once, twice)
+
+
+def test_a_vehicle_that_sinks_to_the_ground_upright_ends_the_episode():
+    env = FlyingPendulum(Params().replace(simulation__battery_sag=1.0))
+    env.reset(seed=1)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        _, reward, terminated, truncated, info = env.step(env.mpc_action())
+    assert terminated and reward == 0.0 and info["seconds"] < 3.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"seconds": 0.0}, "seconds of an episode"),
+        ({"seconds": np.nan}, "seconds of an episode"),
+        ({"seconds": np.inf}, "seconds of an episode"),
+        ({"lengths": (1.5, 0.5)}, "shortest and the longest"),
+        ({"lengths": (0.5,)}, "shortest and the longest"),
+        ({"lengths": 1.0}, "shortest and the longest"),
+        ({"lengths": (0.5, np.nan)}, "shortest and the longest"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused_at_once(wrong, words):
+    with pytest.raises(FipError, match=words):
+        FlyingPendulum(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(3), 0.5, np.array([np.nan, 0.0]), np.array([np.inf, 0.0])])
+def test_an_action_that_is_not_two_finite_numbers_is_refused(wrong):
+    env = FlyingPendulum()
+    env.reset(seed=1)
+    with pytest.raises(FipError, match="two finite numbers"):
+        env.step(wrong)

@@ -83,6 +83,7 @@ def test_a_stub_falls_and_says_so(capsys):
         (None, "returns nothing yet"),
         (..., "returns nothing yet"),
         ((1.0, 2.0, 3.0), "shape (3,)"),
+        (np.array([1j, 0.0]), "not two numbers"),
         (1.0, "shape ()"),
         ((np.nan, 0.0), "[nan, 0.0]"),
         ((np.inf, 0.0), "[inf, 0.0]"),
@@ -169,6 +170,7 @@ def test_an_estimator_is_given_windows_of_its_kind(kind, window):
     [
         (None, "returns nothing yet"),
         ((1.0, 0.1, 0.2), "shape (3,)"),
+        (np.array(1.0 + 0.1j), "not a length in m"),
         (np.nan, "a length of nan"),
         (np.inf, "a length of inf"),
         (-1.0, "-1 m"),

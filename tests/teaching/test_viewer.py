@@ -132,3 +132,23 @@ def test_the_command_serves_until_it_is_interrupted():
         process.send_signal(2)
     output, errors = process.communicate(timeout=SOON)
     assert process.returncode == 130 and "Traceback" not in output + errors, errors
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"rod_length": -1.0}, {"used_length": 50.0}, {"estimator": "none"}, {"weights": "mine"}, {"controller": "x"}],
+)
+def test_what_is_no_choice_is_refused_and_does_not_stay_chosen(view, wrong):
+    with pytest.raises((FipError, ValueError), match=r"must be|is none of"):
+        view.choose(**wrong)
+    view.reset()
+    at = view.do(lambda flight: flight.seconds)
+    await_true(lambda: view.do(lambda flight: flight.seconds) > at)
+    assert "stopped" not in view.status
+
+
+def test_a_view_whose_controller_cannot_be_made_leaves_no_server_behind():
+    before = set(threading.enumerate())
+    with pytest.raises(ZeroDivisionError):
+        Viewer(own=lambda params: 1 / 0)
+    await_true(lambda: set(threading.enumerate()) <= before)

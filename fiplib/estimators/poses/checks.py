@@ -1,4 +1,4 @@
-"""What speaks against an estimate: frames, units and bodies before the fit, innovations and priors after it."""
+"""Checks of an estimate: frames, units and bodies before the fit, innovations and priors after it."""
 
 import math
 
@@ -115,7 +115,7 @@ def check_resolution(vehicle: Body, rod: Body) -> None:
 
 
 def _angle(axis: NDArray) -> NDArray:
-    """The angle (n,) between vectors (n, 3) and the vertical, rad."""
+    """Return the angle (n,) between vectors (n, 3) and the vertical, rad."""
     return np.arctan2(np.linalg.norm(axis[:, :2], axis=1), axis[:, 2])
 
 
@@ -129,7 +129,7 @@ def check_motion(fit: Fit, rows: Rows) -> None:
 
 
 def _why_no_maximum(fit: Fit, rows: Rows, jump: float) -> str:
-    """Name the cause of a likelihood without a maximum as well as it can be told."""
+    """Name the most probable cause of a likelihood without a maximum."""
     noises = [index for index in (NV, NR) if index in fit.free]
     if np.all(np.exp(fit.theta[noises]) < NO_NOISE):
         return (

@@ -17,10 +17,10 @@ from fiplib.estimators.poses.rows import Body, checked, cleaned, rows_of, uprigh
 from fiplib.recording import Flight
 
 LARGEST_DOUBT = 3.0
-"""Standard deviations between the two readings of the length from which on they disagree; 0.3 % by chance."""
+"""Difference of the two possible lengths, in standard deviations, from which on they disagree; 0.3 % by chance."""
 
 LEAST_EVIDENCE = 4.5
-"""Difference in log posterior from which one of two readings is believed: 3 standard deviations."""
+"""Difference in log posterior from which one of the two lengths is accepted: 3 standard deviations."""
 
 NORMAL = 1.959964
 """Half the width of a 95 % interval, standard deviations."""
@@ -76,7 +76,7 @@ class Solution(NamedTuple):
 
 
 def estimate(vehicle: Body, rod: Body, knowledge: Knowledge | None = None) -> PoseEstimate:
-    """Return the length of a balanced rod from the poses of two bodies, or why there is none.
+    """Return the length of a balanced rod from the poses of two bodies, or the reason for a refusal.
 
     Args:
         vehicle: positions, and the body's z axis if it is a vehicle that tilts to accelerate. Without axes it is a
@@ -183,7 +183,7 @@ def _answered(problem: Problem, found: dict) -> dict:
                     whiteness = checks.whiteness_of(fit, problem.rows)
                 found["notes"].append(
                     f"the rod's {'middle' if variant == 'uniform' else 'inertia'} is not where a uniform rod tracked "
-                    "at its middle has it; its reaction on the vehicle tells which"
+                    "at its middle has it; its reaction on the vehicle decides which"
                 )
     priors = [Told(*pair) for pair in zip(fit.prior.means[:2], fit.prior.tolerances[:2], strict=True)]
     distance = problem.distance if problem.tracked else math.nan

@@ -85,7 +85,7 @@ class Rows(NamedTuple):
     tilt: NDArray
 
     def has(self, kind: int) -> bool:
-        """Whether there are rows of this kind."""
+        """Return whether there are rows of this kind."""
         return bool(np.any(self.kind == kind))
 
     def part(self, keep: slice | NDArray) -> "Rows":
@@ -121,7 +121,7 @@ class State:
 
 
 class Pass(NamedTuple):
-    """What one pass over rows gives: see ``run``."""
+    """The result of one pass over rows: see ``run``."""
 
     total: NDArray
     score: NDArray

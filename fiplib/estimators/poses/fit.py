@@ -106,7 +106,7 @@ class Fit:
         deviations, slopes = self.prior.at(neighbours(self.theta, self.free))
         posterior = np.einsum("ji,jk,ki->i", slopes, self.covariance, slopes)
         free = np.any(slopes != 0.0, axis=0) & np.isfinite(self.prior.tolerances)
-        # where the prior is far tighter than the flight can tell, 1 - V / V0 is lost to rounding
+        # where the prior is far tighter than the data determine, 1 - V / V0 is lost to rounding
         return np.where(free, deviations / np.sqrt(np.maximum(1.0 - posterior, 1e-6)), 0.0)
 
 
@@ -173,12 +173,12 @@ class Problem:
 
     @property
     def inertia(self) -> Told:
-        """The prior of the inertia factor: as told, else any where the tracked point replaces it."""
+        """Return the prior of the inertia factor: as stated, else vague where the tracked point replaces it."""
         return self.knowledge.inertia_factor or (ANY_INERTIA if self.tracked else UNIFORM)
 
     @property
     def offset(self) -> Told:
-        """The prior of the rod's tracked point: as told, else the middle, unless the inertia factor replaces it."""
+        """The prior of the rod's tracked point: as stated, else the middle, unless the inertia factor replaces it."""
         middle = self.tracked and not self.knowledge.inertia_factor
         return self.knowledge.marker_offset or (MIDDLE if middle else ANY_OFFSET)
 

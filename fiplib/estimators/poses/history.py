@@ -50,7 +50,7 @@ def _unseen(left: int) -> None:
 
 
 class Stretch(NamedTuple):
-    """What a part of a flight says: ``start`` and ``end`` in s since the start of the flight."""
+    """The estimate from a part of a flight: ``start`` and ``end`` in s since the start of the flight."""
 
     start: float
     end: float

@@ -100,7 +100,7 @@ class InFlight:
         return body_of(body.part(body.stamp > seen), self._origin)
 
     def _answer(self, stream: Stream, knowledge: Knowledge) -> Estimate:
-        """The stream's length, unless something speaks against it."""
+        """Return the stream's length, unless something speaks against it."""
         length, deviation = stream.length
         jump = stream.jump
         try:

@@ -1,4 +1,4 @@
-"""What is known of a laboratory beforehand, and the priors that follow from it. Imports no compiled code."""
+"""The prior knowledge of a laboratory, and the priors that follow from it. Imports no compiled code."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from fiplib.recording import Flight
 
 
 class Told(NamedTuple):
-    """What is known of a quantity beforehand: a Gaussian of this mean and standard deviation."""
+    """The prior of a quantity: a Gaussian with this mean and standard deviation."""
 
     value: float
     tolerance: float
@@ -19,7 +19,7 @@ UNIFORM, MIDDLE = Told(0.75, 0.003), Told(0.0, 1e-3)
 """Assumed where nothing else is known: lambda of a uniform rod, or the tracked point at the middle within 1 mm."""
 
 ANY_INERTIA, ANY_OFFSET = Told(0.8, 0.15), Told(0.0, 0.4)
-"""What the other one of the two is left to be: from tip-heavy rods to point masses, from the foot to the tip."""
+"""Prior of the other one of the two: from tip-heavy rods to point masses, from the foot to the tip."""
 
 ORIGIN = Told(0.0, 0.05)
 """How far the vehicle's tracked point lies below the middle of its markers, m."""
@@ -29,14 +29,14 @@ _SEAT, _COM, _MASS = Told(0.04, 0.1), Told(0.0, 0.05), Told(0.053, 0.001)
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of the laboratory beforehand. The defaults suit somebody who knows nothing but the masses.
+    """The prior knowledge of a laboratory. The defaults are for a user who knows only the masses.
 
     Args:
         inertia_factor: lambda of the rod: 1 for a point mass, 3/4 for a uniform rod. None if it is not known.
         marker_offset: how far beyond the rod's centre of mass its tracked point lies, m. None if it is not known:
             the point is then assumed to be at the middle, unless the flight contradicts that.
-        seat_height: of the seat above the vehicle's tracked point, m.
-        com_height: of the vehicle's centre of mass above its tracked point, m.
+        seat_height: height of the seat above the vehicle's tracked point, m.
+        com_height: height of the vehicle's centre of mass above its tracked point, m.
         mass_ratio: rod over rod and vehicle.
         distance_tolerance: deviation, in m, of the measured distance of the two tracked points from rho + h, because
             neither lies exactly on its axis. Infinite: the distance is not used.

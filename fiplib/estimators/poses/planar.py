@@ -21,15 +21,16 @@ LARGEST_SPREAD = 0.1
 """Refused above this relative deviation of L_e: the base is known exactly, and friction leaves most of the doubt."""
 
 PRIOR = Knowledge(noise=(1e-4, 1e-3), lengths=(0.03, 4.0))
-"""What is known of a laboratory with encoders if nothing is stated: its rods may be short."""
+"""The default prior of a laboratory with encoders: its rods may be short."""
 
 LEAST_QUANTA = 4.0
 """Refused where the rod's angle moves by fewer steps of its encoder than this (standard deviation)."""
 
 
 COLUMNS = ("time_s", "base_position_m", "angle_rad")
-"""Of a CSV file of encoders: time, position of the rod's pivot along its path, angle of the rod from upright. The angle
-is positive where the rod leans towards positive positions."""
+"""Columns of a CSV file of encoders: time, position of the rod's pivot along its path, angle of the rod from upright.
+
+The angle is positive where the rod leans towards positive positions."""
 
 
 def is_encoders(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The pose estimator's words for a command line: what may be stated, and its answer in words and as plain values."""
+"""The pose estimator on a command line: options that state prior knowledge, and its answer in words or as values."""
 
 import argparse
 import json
@@ -23,12 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rod-point", type=_told(1e-3), metavar=told,
                         help="how far above the rod's middle it is tracked, m; 0 if at its middle")  # fmt: skip
     parser.add_argument("--seat-height", type=_told(2e-3), metavar=told,
-                        help="of the rod's seat above the vehicle's tracked point, m")  # fmt: skip
+                        help="height of the seat above the vehicle's tracked point, m")  # fmt: skip
     parser.add_argument("--mass-ratio", type=_told(1e-3), metavar=told, help="mass of the rod over rod and vehicle")
     parser.add_argument("--noise", type=_noise, metavar="METRES,RADIANS",
                         help="standard deviations of positions and attitudes, within a factor of 3")  # fmt: skip
     parser.add_argument("--arm-radius", type=_radius, default=math.inf, metavar="METRES",
-                        help="of a CSV file of encoders: radius of the rotary arm (default: a cart)")  # fmt: skip
+                        help="radius of the rotary arm, for a CSV file of encoders (default: a cart)")  # fmt: skip
 
 
 def stated(options: argparse.Namespace) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def stated(options: argparse.Namespace) -> dict[str, Any]:
 def answer(found: "PoseEstimate", flight: Flight | None = None) -> dict:
     """Return the answer as plain values: lengths in m, null for what is not known, pairs [value, deviation].
 
-    With the flight it says what reading assumed, and what the checks found; encoders have none.
+    With the flight it adds the reader's assumptions and the findings of the checks; encoders have none.
     """
     notes, against, good = _checked(flight)
     names = ("effective_length", "rod_point", "seat_height", "com_height", "inertia_factor", "uniform_length")
@@ -83,7 +83,7 @@ def sentences(found: "PoseEstimate", flight: Flight | None = None) -> str:
     else:
         lines = [f"refused    {found.reason}"]
     told = {"seat": found.seat_height, "rod point": found.rod_point}
-    if flight is None:  # two encoders tell this one best
+    if flight is None:  # two encoders determine this one best
         told["L_e"] = found.effective_length
     lines += [f"{name:<10} {value:.4f} m +- {deviation:.4f} m"
               for name, (value, deviation) in told.items() if math.isfinite(value)]  # fmt: skip
@@ -96,7 +96,7 @@ def sentences(found: "PoseEstimate", flight: Flight | None = None) -> str:
 
 
 def _checked(flight: Flight | None) -> tuple[tuple[str, ...], list[Finding], list[str]]:
-    """What reading assumed, what speaks against the flight, and the checks that it passed."""
+    """Return the reader's assumptions, the findings against the flight, and the checks that it passed."""
     if flight is None:
         return (), [], []
     against = findings(flight)

@@ -16,8 +16,8 @@ HALF, RISE_HALF = 0.05, 0.15
 
 
 TURNED = 0.1, 1.0
-"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; by less, the constants of
-the model hold it, and by more, the frame cannot be told from a wrong one."""
+"""A body's frame that leans by an angle between these, rad, on average is taken to be turned; the constants of the
+model absorb a smaller angle, and a larger one cannot be distinguished from a wrong frame."""
 
 
 class Body(NamedTuple):
@@ -154,7 +154,7 @@ def rows_of(vehicle: Body, rod: Body, origin: NDArray | None = None) -> Rows:
 
 
 def _near(time: NDArray, events: NDArray) -> NDArray:
-    """Which events have a sample within 0.05 s, or two and a half periods, before and after, or lie on one."""
+    """Return which events have a sample within 0.05 s, or two and a half periods, before and after, or lie on one."""
     gap = max(HALF, 2.5 * float(np.median(np.diff(time))))
     after = np.minimum(np.searchsorted(time, events), len(time) - 1)
     before = np.maximum(np.searchsorted(time, events, side="right") - 1, 0)

@@ -46,14 +46,14 @@ class Running:
 
     @property
     def length(self) -> Value:
-        """The length in m for all rows so far, and its standard deviation."""
+        """Return the length in m for all rows so far, and its standard deviation."""
         step, deviations = self.step
         at = int(np.flatnonzero(self.fit.free == R)[0])
         return Value(2.0 * float(self.fit.theta[R] + step[at]), 2.0 * float(deviations[at]))
 
     @property
     def jump(self) -> float:
-        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        """Return the largest mean squared innovation of late, see ``checks.largest_jump``."""
         return largest_jump(*self._recent)
 
 
@@ -113,10 +113,10 @@ class Stream:
 
     @property
     def length(self) -> Value:
-        """The length in m for all poses so far, and its standard deviation."""
+        """Return the length in m for all poses so far, and its standard deviation."""
         return self._running.length
 
     @property
     def jump(self) -> float:
-        """The largest mean squared innovation of late, see ``checks.largest_jump``."""
+        """Return the largest mean squared innovation of late, see ``checks.largest_jump``."""
         return self._running.jump

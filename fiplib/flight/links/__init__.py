@@ -35,7 +35,7 @@ class PoseSource(Protocol):
     """The true state (11,) as ``ROLES["truth_state"]`` at the newest frame; ``None`` where it is not known."""
 
     events: deque[Event]
-    """What happened to poses and vehicle (pushes of a simulated one), for the recorder; the reader takes them away."""
+    """Events of poses and vehicle (pushes of a simulated one), for the recorder; the reader removes them."""
 
     pids: Mapping[str, int] = MappingProxyType({})
     """The ids of the processes that belong to it, by name; empty before it is entered."""

@@ -184,7 +184,7 @@ class Ros2Poses(PoseSource):
     """Frames from two PoseStamped topics; a context manager. No thread: topics are read within ``receive``.
 
     Of each topic one publisher is followed, the first that is heard. While there is a second one the vehicle is not
-    armed; in flight its poses are left out. Poses in another frame than ``frame`` are none.
+    armed; in flight its poses are left out. Poses in another frame than ``frame`` are ignored.
 
     Args:
         topics: of vehicle and pendulum.
@@ -269,7 +269,7 @@ class Ros2Poses(PoseSource):
     def wait(self, listeners: str | None = None) -> None:
         """Return when frames come and somebody subscribes to the topic ``listeners``. Raises LinkError.
 
-        Nobody else may publish on ``listeners``: the vehicle obeys whoever does.
+        No other node may publish on ``listeners``: the vehicle would obey it.
         """
         end, heard = time.monotonic() + self._patience, False
         while time.monotonic() < end:
@@ -494,7 +494,7 @@ than the level-and-disarm frames last. Empty in the sender's process."""
 
 
 def command_sink(kind: str, topic: str) -> Ros2Sink:
-    """The spare sink of this process, or else a new one."""
+    """Return the spare sink of this process, or else a new one."""
     return SPARE.pop((kind, topic), None) or Ros2Sink(kind, topic)
 
 

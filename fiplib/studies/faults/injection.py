@@ -21,7 +21,7 @@ from fiplib.recording import Measurement
 FrameFault = Callable[[float, Measurement], list[Measurement]]
 """(s since take-off, the true frame) -> the frames that arrive now."""
 Change = Callable[[Measurement], Measurement]
-"""What becomes of one frame."""
+"""A fault of a single frame: the true frame -> the frame that is delivered."""
 Solve = Callable[[Tick], Solution]
 Elapse = Callable[[float], None]
 SolverFault = Callable[[Solve, Tick, Elapse], Solution]

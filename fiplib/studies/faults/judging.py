@@ -1,4 +1,4 @@
-"""What a faulty flight is judged by: its commands, how its motors were stopped, its recording; one row of the table."""
+"""The judgement of a faulty flight: its commands, how its motors were stopped, its recording; one row of the table."""
 
 import math
 import tempfile
@@ -40,7 +40,7 @@ COLUMNS = (
     *("not_finite", "out_of_bounds", "longest_gap_ms", "disarm_frames", "disarm_s", "uncaught_exception", "bag"),
     *("perfect_information", "exact_with_same_gaps", "verdict"),
 )
-"""Of the table, after the fault's name and the phase."""
+"""Columns of the table after the fault's name and the phase."""
 
 
 @dataclass(frozen=True)

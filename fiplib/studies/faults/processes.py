@@ -48,7 +48,7 @@ HIT = 2.0
 ENDED = 2.5
 """A flight is over when nothing is heard of it for so long, s."""
 WITNESS = struct.Struct("<cq")
-"""What goes to the witness: its kind and the monotonic time, ns; a setpoint, a true state or JSON follow."""
+"""Header of a message to the witness: its kind and the monotonic time, ns; a setpoint, a true state or JSON follow."""
 TRUTH = struct.Struct("<11d")
 HOVER = ("--scenario", "push-hover", "--duration", "7")
 ESTIMATED = ("--scenario", "estimate-1.2", "--duration", "16", "--set", "safety.estimator_timeout=1.0")

@@ -34,7 +34,7 @@ from fiplib.studies.faults.judging import Commands, Fault
 from fiplib.studies.faults.perfect_information import NEVER, balances
 
 LIMITS = Limits()
-"""Of the failsafe and the command sender, in every flight."""
+"""Limits of the failsafe and the command sender, in every flight."""
 START = 2.0
 """Faults in flight begin at this time after take-off, s."""
 POSES = "the limit of 100 ms without poses"

@@ -74,7 +74,7 @@ mass_matrix = Exercise(
         "the height is to be squared": lambda a, b, l: np.eye(2) + (_mass(a, b, l) - np.eye(2)) * _height(a, b, l),
         "that is divided by r^2: divide by zeta^2": lambda a, b, l: np.eye(2) + np.outer([a, b], [a, b]) / (l / 2) ** 2,
     },
-    "write the velocity with both tangents, and read the coefficients of a'^2, a'b' and b'^2",
+    "write the velocity with both tangents, square it, and read off what multiplies which rates",
     "M = I + n n' / zeta^2 with n = (a, b)",
     "at the horizontal it grows without bound: there a and b are no coordinates any more",
 )

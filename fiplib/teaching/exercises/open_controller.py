@@ -57,6 +57,8 @@ def two_rates(rates: Any) -> NDArray:
     if rates is None or rates is ...:
         raise NotYet("your controller returns nothing yet: return two body rates in rad/s, about x and about y")
     try:
+        if np.iscomplexobj(rates):  # NumPy would drop the imaginary part
+            raise TypeError
         given = np.asarray(rates, dtype=float).squeeze()
     except (TypeError, ValueError):
         raise NotYet(f"your controller returns {rates!r:.60}, and not two numbers") from None

@@ -76,6 +76,8 @@ def own_estimate(answer: Any) -> Estimate:
     if isinstance(answer, Estimate):
         answer = answer.length, answer.standard_deviation
     try:
+        if np.iscomplexobj(answer):  # NumPy would drop the imaginary part
+            raise TypeError
         given = np.asarray(answer, dtype=float).squeeze()
     except (TypeError, ValueError):
         raise NotYet(f"your estimator returns {answer!r:.60}, and not a length in m") from None
