@@ -5,6 +5,7 @@ the student reads is true of the answer, whatever the formula behind it is. A fu
 trial and returns one value of a result as an array.
 """
 
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -60,6 +61,7 @@ class Pair:
         trials: the arguments of each trial.
         names: the names of the arguments.
         tolerance: the relative error up to which a result is right.
+        patience: time in s after which a slow answer is not called at further changed arguments.
     """
 
     answer: Function
@@ -67,11 +69,17 @@ class Pair:
     trials: Sequence[tuple]
     names: Sequence[str]
     tolerance: float
+    patience: float = 5.0
+
+    def __post_init__(self) -> None:
+        self._end = time.monotonic() + self.patience
 
     def at(self, change: Callable[[tuple], tuple]) -> list[tuple[NDArray, NDArray]] | None:
-        """Return the given and the right results at changed arguments; None where one of them is not finite."""
+        """Return the given and the right results at changed arguments; None if one is not finite, or late."""
         results = []
         for trial in self.trials:
+            if time.monotonic() > self._end:
+                return None
             try:
                 true = self.truth(change(trial))
                 mine = self.answer(change(trial)) if np.isfinite(true).all() else np.array([])
@@ -195,16 +203,33 @@ def _by_direction(pair: Pair, base: list[tuple[NDArray, NDArray]]) -> str | None
 
 
 def _right_where(pair: Pair, _: list[tuple[NDArray, NDArray]]) -> str | None:
-    """At a special value of an argument the answer is right."""
+    """At a special value of an argument the answer is right, though the right result is not trivial there."""
     for words, change in _specials(pair):
         try:
             changed = pair.at(change)
         except (TypeError, ValueError):
             continue
-        if changed and all(true.any() and bool(_same(mine, true, pair.tolerance).all()) for mine, true in changed):
+        if not changed or _trivial([true for _, true in changed], [change(trial) for trial in pair.trials]):
+            continue
+        if all(bool(_same(mine, true, pair.tolerance).all()) for mine, true in changed):
             also = " (the terms without it are right)" if words.endswith("is 0") else ""
             return f"right where {words}, not elsewhere{also}"
     return None
+
+
+def _trivial(results: list[NDArray], trials: list[tuple]) -> bool:
+    """Whether results are always the same or one of the arguments: then almost any formula gives them."""
+    first = results[0]
+    others = len(trials[0]) > 1  # the one argument of a function is fixed here, so its result is, too
+    if others and all(result.shape == first.shape and bool(_same(result, first, COARSE).all()) for result in results):
+        return True
+    return any(
+        all(
+            np.shape(trial[k]) == result.shape and bool(_same(result, np.asarray(trial[k]), COARSE).all())
+            for result, trial in zip(results, trials, strict=True)
+        )
+        for k in range(len(trials[0]))
+    )
 
 
 def _specials(pair: Pair) -> Iterator[tuple[str, Callable[[tuple], tuple]]]:

@@ -377,8 +377,16 @@ def of_sum(given: Values, expected: Values, terms: Sequence[Mapping[str, Any]], 
     fits = [np.linalg.lstsq(matrix, values)[0] for values in (mine, true)]
     if np.abs(matrix @ fits[0] - mine).max() > tolerance * np.abs(mine).max():
         return None
-    wrong = [(name, a, b) for name, a, b in zip(terms[0], *fits, strict=True) if abs(a - b) > 0.01]
-    texts = [f"{name} counts {round(a, 3) + 0:g} times instead of {abs(round(b))}" for name, a, b in wrong]
+    sizes = np.abs(matrix).max(axis=0) / np.abs(mine).max()
+    wrong = [
+        (name, a, b)
+        for name, a, b, size in zip(terms[0], *fits, sizes, strict=True)
+        if abs(a - b) > 0.01 or abs(a - b) * size > tolerance
+    ]
+    texts = []
+    for name, a, b in wrong:
+        shown = round(a, 3) + 0 if abs(a - b) > 0.01 else a  # a small number of a large term
+        texts.append(f"{name} counts {shown:.3g} times instead of {abs(round(b))}")
     return "the right one, but " + " and ".join(texts)
 
 
@@ -431,6 +439,8 @@ def of_parts(given: Values, expected: Values, tolerance: float) -> str | None:
         return " and ".join(text.format(times) for text, times in texts.items() if times) + f", of {size} values"
     if len({true.shape for true in expected}) == 1 and not np.all(some := np.any(wrong, axis=0)):
         words = relation([mine[some] for mine, _ in pairs], [true[some] for _, true in pairs], tolerance)
+        if words is None and 2 * some.sum() > some.size:
+            return None
         return f"wrong in {_place(some)} and right elsewhere" + (f": there it is {words}" if words else "")
     return f"right in {size - count} of {size} entries" if 2 * count <= size else None
 

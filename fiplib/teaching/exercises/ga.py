@@ -77,7 +77,7 @@ roulette_probabilities = Exercise(
         "that is the share of the infeasible as well: they must not count in the sum": lambda f: (
             _wheel(f) * np.isfinite(f).sum() / len(f)
         ),
-        "the best one takes all: every other one gets a share by its distance from the worst (exp favours the best too much)": lambda f: (
+        "the best one takes all: others get a share, too, by their distance from the worst": lambda f: (
             (f == f.min()) * 1.0
         ),
         "the roots of the weights are taken: the distance from the worst itself is asked for": lambda f: (

@@ -8,6 +8,8 @@ typical mistakes of the exercise, each of which is a function, too, and then wit
 An answer that never returns is not graded: interrupt the kernel, as with any endless loop in a notebook.
 """
 
+import contextlib
+import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -187,7 +189,8 @@ class Exercise:
         like = parts_of(self.truth(*trials[0]), None)
         given = lambda arguments: parts_of(called(safe, arguments), like)[k]  # noqa: E731
         pair = behaviour.Pair(given, self._value(k), trials, names, self.tolerance)
-        return behaviour.of_fitted_argument(pair) or behaviour.of_powers(pair) or behaviour.differences(pair)
+        with contextlib.redirect_stdout(io.StringIO()):  # it is called hundreds of times, and may print
+            return behaviour.of_fitted_argument(pair) or behaviour.of_powers(pair) or behaviour.differences(pair)
 
     def _of_value(self, k: int, mine: Parts, true: Parts, trials: list[tuple], names: list[str]) -> str | None:
         tolerance = self.tolerance
