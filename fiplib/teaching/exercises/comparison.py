@@ -387,7 +387,8 @@ def of_sum(given: Values, expected: Values, terms: Sequence[Mapping[str, Any]], 
     for name, a, b in wrong:
         shown = round(a, 3) + 0 if abs(a - b) > 0.01 else a  # a small number of a large term
         texts.append(f"{name} counts {shown:.3g} times instead of {abs(round(b))}")
-    return "the right one, but " + " and ".join(texts)
+    more = [f"{len(texts) - 3} other terms are counted wrongly, too"] if len(texts) > 4 else []
+    return "the right one, but " + " and ".join(texts[:3] + more if more else texts)
 
 
 def by_size(given: Values, expected: Values) -> str:
