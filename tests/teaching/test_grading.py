@@ -74,9 +74,10 @@ def test_no_wrong_answer_written_by_hand_passes_and_most_are_named(written: dict
 
 
 def test_wrong_answers_on_which_nothing_was_tuned_are_refused_and_most_are_named() -> None:
-    """98 of 108 were named at first run (58 by the grader before it); then sentences that hold for almost any formula were dropped: 95 are.
+    """98 of 108 were named at first run, 58 by the grader before; now 95 are.
 
-    "Right where both lengths are equal" is one of these: every mean of two equal lengths is right.
+    Sentences that hold for almost any formula were dropped in between: "right where both lengths are equal" is one of
+    these, as every mean of two equal lengths is right.
     """
     assert sum(map(len, FIRST_SEEN.values())) == 108
     refusals = [
