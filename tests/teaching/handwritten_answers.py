@@ -1,7 +1,7 @@
 """Wrong and right answers written by hand, as students write them.
 
 Of the 159 ``WRONG`` ones 108 were named in words when they were written; the grader was then extended until 155 were.
-The ``FRESH`` ones were written after that, and nothing was tuned on them. ``RIGHT`` are right in other ways.
+``FRESH`` and ``LATER`` were each written after that, and the grader extended again. ``RIGHT`` are right in other ways.
 """
 
 import math

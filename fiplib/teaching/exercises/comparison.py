@@ -61,6 +61,27 @@ RELATIONS: dict[str, Callable[[NDArray], NDArray]] = {
     "the right one shifted by one place, too early": lambda x: np.roll(x, -1, axis=0),
     "the right one sorted": lambda x: np.sort(x, axis=0),
     "the running sum of the right one": lambda x: np.cumsum(x, axis=0),
+    "the mean of the right one, everywhere": lambda x: 0 * x + x.mean(),
+    "the sum of the right one, everywhere": lambda x: 0 * x + x.sum(),
+    "the largest of the right one, everywhere": lambda x: 0 * x + x.max(),
+    "the right one less its mean": lambda x: x - x.mean(),
+    "the right one divided by its sum: it is not to be normalised": lambda x: x / x.sum(),
+    "the right one divided by its largest: it is not to be normalised": lambda x: x / x.max(),
+    "the right one divided by its norm: it is not to be normalised": lambda x: x / np.linalg.norm(x),
+    "the right one with its negative values set to zero": lambda x: np.maximum(x, 0) if x.ndim < 2 else x,
+    "the right one with its positive values set to zero": lambda x: np.minimum(x, 0) if x.ndim < 2 else x,
+    "the right one, at most 1": lambda x: np.minimum(x, 1),
+    "the right one rounded to whole numbers": np.round,
+    "the right one rounded down": np.floor,
+    "the right one rounded up": np.ceil,
+    "the cube of the right one": lambda x: x**3,
+    "the tangent of the right one": np.tan,
+    "the exponential of the right one, less one": np.expm1,
+    "the logarithm of one plus the right one": lambda x: np.log1p(np.abs(x)),
+    "the diagonal of the right one, the rest is zero": lambda x: np.diag(np.diag(x)) if x.ndim == 2 else x,
+    "the upper triangle of the right one": np.triu,
+    "the lower triangle of the right one": np.tril,
+    "the symmetric part of the right one": lambda x: (x + x.T) / 2,
 }
 """What typical mistakes make of a right value, of any of its shapes for which the function makes sense."""
 
@@ -92,6 +113,18 @@ CHANGES: dict[str, Callable[[Any], Any]] = {
     "{} transposed": lambda x: x.swapaxes(-1, -2),
     "{} inverted": lambda x: np.linalg.inv(x),
     "{} in the reverse order": lambda x: x[::-1],
+    "{} with its columns in the reverse order": lambda x: x[:, ::-1],
+    "{} shifted by one place": lambda x: np.roll(x, 1, axis=0),
+    "{} shifted back by one place": lambda x: np.roll(x, -1, axis=0),
+    "the first of {} for all": lambda x: 0 * x + x[:1],
+    "the mean of {} for all": lambda x: 0 * x + x.mean(axis=0),
+    "the running sum of {}": lambda x: np.cumsum(x, axis=0),
+    "{} less its mean": lambda x: x - x.mean(axis=0),
+    "{} sorted": lambda x: np.sort(x, axis=0),
+    "{} rounded": np.round,
+    "the diagonal of {} alone": lambda x: x * np.eye(x.shape[-1]) if np.ndim(x) >= 2 else None,
+    "the identity for {}": lambda x: 0 * x + np.eye(x.shape[-1]) if np.ndim(x) >= 2 else None,
+    "the positive values of {} alone": lambda x: np.maximum(x, 0),
     "zero for {} (is a term missing?)": lambda x: 0 * x,
     "one for {} (is a factor missing?)": lambda x: x / x,
     "{} in degrees": lambda x: np.degrees(x),
@@ -130,7 +163,7 @@ def relation(given: Values, expected: Values, tolerance: float) -> str | None:
     for words, made in RELATIONS.items():
         try:
             images = [made(true) for true in expected]
-        except (np.linalg.LinAlgError, IndexError, ValueError):
+        except (np.linalg.LinAlgError, IndexError, TypeError, ValueError):
             continue
         if not _several(images) or (factor := _factor(given, images, tolerance)) is None:
             continue
@@ -227,6 +260,16 @@ def of_constants(given: Values, expected: Values, tolerance: float) -> str | Non
         values = np.unique(given[0])
         return f"{f'{values[0].real:.4g}' if values.size == 1 else 'the same'} at every input, whatever the arguments"
     return None
+
+
+def of_kinds(given: Values, kinds: Sequence[str]) -> str | None:
+    """Return which number a value is at each kind of input, if it is one number at each."""
+    if any(mine.ndim for mine in given):
+        return None
+    numbers = {kind: {float(mine.real) for mine, of in zip(given, kinds, strict=True) if of == kind} for kind in kinds}
+    if any(len(values) > 1 for values in numbers.values()) or min(map(list(kinds).count, numbers)) < 2:
+        return None
+    return " and ".join(f"{values.pop():.4g} for {kind}" for kind, values in sorted(numbers.items()))
 
 
 def nearly(given: Values, expected: Values) -> str | None:
@@ -334,9 +377,18 @@ def of_sum(given: Values, expected: Values, terms: Sequence[Mapping[str, Any]], 
     fits = [np.linalg.lstsq(matrix, values)[0] for values in (mine, true)]
     if np.abs(matrix @ fits[0] - mine).max() > tolerance * np.abs(mine).max():
         return None
-    wrong = [(name, a, b) for name, a, b in zip(terms[0], *fits, strict=True) if abs(a - b) > 0.01]
-    texts = [f"{name} counts {round(a, 3) + 0:g} times instead of {abs(round(b))}" for name, a, b in wrong]
-    return "the right one, but " + " and ".join(texts)
+    sizes = np.abs(matrix).max(axis=0) / np.abs(mine).max()
+    wrong = [
+        (name, a, b)
+        for name, a, b, size in zip(terms[0], *fits, sizes, strict=True)
+        if abs(a - b) > 0.01 or abs(a - b) * size > tolerance
+    ]
+    texts = []
+    for name, a, b in wrong:
+        shown = round(a, 3) + 0 if abs(a - b) > 0.01 else a  # a small number of a large term
+        texts.append(f"{name} counts {shown:.3g} times instead of {abs(round(b))}")
+    more = [f"{len(texts) - 3} other terms are counted wrongly, too"] if len(texts) > 4 else []
+    return "the right one, but " + " and ".join(texts[:3] + more if more else texts)
 
 
 def by_size(given: Values, expected: Values) -> str:
@@ -388,6 +440,8 @@ def of_parts(given: Values, expected: Values, tolerance: float) -> str | None:
         return " and ".join(text.format(times) for text, times in texts.items() if times) + f", of {size} values"
     if len({true.shape for true in expected}) == 1 and not np.all(some := np.any(wrong, axis=0)):
         words = relation([mine[some] for mine, _ in pairs], [true[some] for _, true in pairs], tolerance)
+        if words is None and 2 * some.sum() > some.size:
+            return None
         return f"wrong in {_place(some)} and right elsewhere" + (f": there it is {words}" if words else "")
     return f"right in {size - count} of {size} entries" if 2 * count <= size else None
 

@@ -1,6 +1,7 @@
 """Exercises of notebook 05, the genetic algorithm."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,13 @@ roulette_probabilities = Exercise(
         "that is the share of the infeasible as well: they must not count in the sum": lambda f: (
             _wheel(f) * np.isfinite(f).sum() / len(f)
         ),
+        "the best one takes all: others get a share, too, by their distance from the worst": lambda f: (
+            (f == f.min()) * 1.0
+        ),
+        "the roots of the weights are taken: the distance from the worst itself is asked for": lambda f: (
+            (w := np.sqrt(_wheel(f))) / w.sum()
+        ),
+        "the chances are added up: one for each candidate is asked for": lambda f: np.cumsum(_wheel(f)),
         "the infeasible take part: their weight is zero": lambda f: (w := np.argsort(np.argsort(-f))) / w.sum(),
     },
     "weigh everyone by the distance from the worst that is feasible, then make the weights sum to one",
@@ -88,6 +96,11 @@ roulette_probabilities = Exercise(
 def _diversity(bits: NDArray) -> float:
     ones, n = bits.sum(axis=0), len(bits)
     return (2 * ones * (n - ones)).sum() / (n * (n - 1))
+
+
+def _pairs(bits: NDArray) -> NDArray:
+    """In how many bits the candidates of each pair differ."""
+    return np.array([(a != b).sum() for a, b in combinations(bits, 2)])
 
 
 diversity = Exercise(
@@ -118,9 +131,14 @@ diversity = Exercise(
         "that is the number of ones: count the bits in which two candidates differ": lambda bits: bits.sum(
             axis=1
         ).mean(),
-        "that is the largest difference of a pair: take the mean over all pairs": lambda bits: max(
-            (a != b).sum() for a in bits for b in bits
+        "that is the largest difference of a pair: take the mean over all pairs": lambda bits: _pairs(bits).max(),
+        "that is the smallest difference of a pair: take the mean over all pairs": lambda bits: _pairs(bits).min(),
+        "that is the median over the pairs: take their mean": lambda bits: np.median(_pairs(bits)),
+        "that is the scatter of the differences: take their mean": lambda bits: _pairs(bits).std(),
+        "only bits that are 1 in both are counted: count those that differ": lambda bits: np.mean(
+            [(a & b).sum() for a, b in combinations(bits, 2)]
         ),
+        "bits that agree are counted: count those that differ": lambda bits: bits.shape[1] - _diversity(bits),
     },
     "compare every candidate with every other one, bit by bit, and average over the pairs",
     "count the bits in which two candidates differ; take the mean over all pairs of different candidates",

@@ -8,6 +8,8 @@ typical mistakes of the exercise, each of which is a function, too, and then wit
 An answer that never returns is not graded: interrupt the kernel, as with any endless loop in a notebook.
 """
 
+import contextlib
+import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fiplib.teaching.exercises import comparison
+from fiplib.teaching.exercises import behaviour, comparison
 from fiplib.teaching.exercises.comparison import agree
 from fiplib.teaching.exercises.results import (
     Answer,
@@ -173,6 +175,7 @@ class Exercise:
                     or self._ignored(answer, k, trials, names)
                     or comparison.of_parts(mine, true, self.tolerance)
                     or comparison.of_inputs(self._value(k), mine, trials, names, self.tolerance, multiple=True)
+                    or self._of_behaviour(answer, k, trials, names)
                 )
                 return words and f"{what} {words}"
         return None
@@ -180,12 +183,22 @@ class Exercise:
     def _value(self, k: int) -> Callable[[tuple], NDArray]:
         return lambda arguments: parts_of(self.truth(*arguments), None)[k]
 
+    def _of_behaviour(self, answer: Answer, k: int, trials: list[tuple], names: list[str]) -> str | None:
+        """How the answer behaves at other arguments, where the right one behaves otherwise."""
+        safe = without_exit(answer)
+        like = parts_of(self.truth(*trials[0]), None)
+        given = lambda arguments: parts_of(called(safe, arguments), like)[k]  # noqa: E731
+        pair = behaviour.Pair(given, self._value(k), trials, names, self.tolerance)
+        with contextlib.redirect_stdout(io.StringIO()):  # it is called hundreds of times, and may print
+            return behaviour.of_fitted_argument(pair) or behaviour.of_powers(pair) or behaviour.differences(pair)
+
     def _of_value(self, k: int, mine: Parts, true: Parts, trials: list[tuple], names: list[str]) -> str | None:
         tolerance = self.tolerance
         return (
             comparison.relation(mine, true, tolerance)
             or self._of_some(mine, true, trials, names)
             or comparison.of_constants(mine, true, tolerance)
+            or (self.kind and comparison.of_kinds(mine, [self.kind(*trial) for trial in trials]))
             or (self.terms and comparison.of_sum(mine, true, [self.terms(*trial) for trial in trials], tolerance))
             or comparison.of_inputs(self._value(k), mine, trials, names, tolerance)
             or comparison.of_terms(mine, true, trials, names, tolerance)

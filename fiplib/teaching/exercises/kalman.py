@@ -39,6 +39,9 @@ predict_covariance = Exercise(
         "* multiplies entry by entry: matrices are multiplied by @": lambda j, p, q, step: (
             (f := np.eye(len(j)) + step * j) * p * f.T + q
         ),
+        "no exponential of the entries: an Euler step is the identity plus dt J": lambda j, p, q, step: (
+            (f := np.exp(step * j)) @ p @ f.T + q
+        ),
         "the right factor is transposed, not inverted": lambda j, p, q, step: (
             (f := np.eye(len(j)) + step * j) @ p @ np.linalg.inv(f) + q
         ),
@@ -83,6 +86,15 @@ normalised_innovations = Exercise(
         "dividing by a determinant is no inverse: directions of small variance count more": lambda y, s: (
             (y**2).sum(1) / np.linalg.det(s)
         ),
+        "that is the largest component alone: add all components": lambda y, s: (
+            y**2 / np.diagonal(s, axis1=1, axis2=2)
+        ).max(axis=1),
+        "each sample has its own S: the mean of them all is no one's": lambda y, s: _nis(
+            y, np.broadcast_to(s.mean(axis=0), s.shape)
+        ),
+        "that is y' S^-1 without the second y: S^-1 stands between two innovations": lambda y, s: np.linalg.solve(
+            s, y[..., None]
+        )[..., 0].sum(axis=1),
         "a trace is one number for all directions: S is to be inverted": lambda y, s: (
             (y**2).sum(1) / np.trace(s, axis1=1, axis2=2)
         ),

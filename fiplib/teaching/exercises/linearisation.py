@@ -79,6 +79,9 @@ steady_lean = Exercise(
         "that is the angular speed, not its square: an acceleration on a circle goes with w^2": lambda r, t, l: (
             -r * 2 * math.pi / t / (2 * math.pi / t + 2 * GRAVITY / l)
         ),
+        "that is the lean at rest on a slope: the offset goes round as well, and w^2 a counts": lambda r, t, l: (
+            -l / 2 * math.sin(math.atan(r * (2 * math.pi / t) ** 2 / GRAVITY))
+        ),
         "numerator and denominator are from different terms: the circle drives, with w^2 R": lambda r, t, l: (
             -r - _lean(r, t, l)
         ),
