@@ -11,7 +11,7 @@ the system's mathematical library does: glibc rounds some sines and exponentials
 
 import importlib
 
-MODULES = ("control", "filtering", "flight", "observing", "piloting", "poses", "recursion", "vehicle")
+MODULES = ("control", "evolving", "filtering", "flight", "observing", "piloting", "poses", "recursion", "vehicle")
 """The modules that hold kernels."""
 
 

@@ -218,7 +218,7 @@ def test_steps_are_judged_by_the_flights_that_fall_at_once():
     assert verdict_of("G6.steps", seeds(standing_in_steps={"survived": 1.0}), JUMPS) == Verdict.HOLDS
     found = evidence.small_steps(seeds(), JUMPS)
     assert found.facts == pytest.approx({"outliers": 0, "wrong": 3, "lasting": 2 / 3})
-    assert "never reach it" in found.note
+    assert "in 2 s they change the length by 0.5 m only" in found.note
 
 
 def test_a_solve_and_a_tick_are_judged_one_by_one():

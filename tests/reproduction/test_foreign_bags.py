@@ -16,7 +16,7 @@ from fiplib.reproduction.style import styled
 
 DATA = Path(__file__).parents[2] / "data"
 ROLES = ("state", "command", "reference", "length", "truth_state", "truth_length")
-DRAWN = [name for name, product in PRODUCTS.items() if product.bags]
+DRAWN = [name for name, product in PRODUCTS.items() if product.bags and not product.studies]
 
 
 @functools.cache

@@ -242,7 +242,7 @@ def test_the_topics_of_another_laboratory_are_in_the_menus(page, tmp_path: Path)
     menu = page.get_by_label("vehicle", exact=True)
     assert menu.input_value() == names[TOPICS["vehicle"]]
     menu.select_option(names[TOPICS["pendulum"]])
-    page.get_by_text(re.compile("one body stands for both")).wait_for()
+    page.get_by_text(re.compile("one body stands for both")).first.wait_for()
     menu.select_option(names[TOPICS["vehicle"]])
     low, high = Actions(page).read_length("elsewhere")[1:]
     assert low < 1.0 < high
