@@ -70,7 +70,7 @@ def line(rng: random.Random) -> list[str]:
             words.append(rng.choice(WORDS if rng.random() < 0.5 else NUMBERS))
     # what would work for minutes or hours is not asked for, but refused before it begins
     if name in ("sweep", "faults", "firmware", "figures", "claims", "fly", "view") and "--list" not in words:
-        refused = {"claims": ["--data", "nowhere"], "view": ["nowhere"]}
+        refused = {"claims": ["--data", "nowhere"], "view": ["nowhere", "nowhere"]}
         refused["fly"] = "--scenario push-hover --duration 1e-4 --link sim".split()
         words += refused.get(name, ["nonsense", "nonsense"])  # one may be taken by an option
     return [word.replace("\0", "") for word in words]
