@@ -67,8 +67,8 @@ def settle(figure: Figure) -> None:
 
 def save(figure: Figure, pdf: Path, png: Path) -> None:
     """Save a figure without date and program: the same figure gives the same bytes."""
-    settle(figure)
     with styled():
         FigureCanvasAgg(figure)
+        settle(figure)
         figure.savefig(pdf, metadata={"CreationDate": None, "Producer": None, "Creator": None})
         figure.savefig(png, metadata={"Software": None})
