@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import binomtest
 
 from fiplib.params import A, B, Params, X, Y
 from fiplib.recording import Flight
 from fiplib.references import Circle, Hover
+from fiplib.reproduction.measures import binomial_interval
 from fiplib.reproduction.sources import Quantities, Rows
 from fiplib.reproduction.style import BLUE, COLUMN, GREY, origin
 from fiplib.reproduction.tables import NONE, Facts, Table, number
@@ -161,12 +161,11 @@ def _rows(rows: Rows, controller: str, flight: str, length: float = TRUE_LENGTH)
 
 
 def share(rows: Rows, controller: str, flight: str, length: float = TRUE_LENGTH, column: str = "survived") -> Any:
-    """Return the flights that stay up, how many there are, and the 95 % interval of the share (Wilson); nan of none."""
+    """Return the flights that stay up, how many there are, and the 95 % interval of the share; nan of none."""
     up = [int(row[column]) for row in _rows(rows, controller, flight, flown_with(controller, length))]
     if not up:
         return 0, 0, math.nan, math.nan
-    interval = binomtest(sum(up), len(up)).proportion_ci(method="wilson")
-    return sum(up), len(up), interval.low, interval.high
+    return sum(up), len(up), *binomial_interval(sum(up), len(up))
 
 
 def surviving(rows: Rows, controller: str, column: str = "survived") -> list[float]:

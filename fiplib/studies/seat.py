@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import binomtest
 
 from fiplib.controllers import margins
 from fiplib.params import A, B, Params, X, Y
@@ -102,9 +101,8 @@ def _error(flight: Flight, motion: Scenario) -> float:
 
 def survival(row: dict) -> tuple[float, float, float]:
     """Return the share of a row's flights that stay up, and its exact (Clopper-Pearson) 95 % interval."""
-    found = binomtest(int(row["survived"]), int(row["flown"]))
-    interval = found.proportion_ci(0.95, method="exact")
-    return found.statistic, interval.low, interval.high
+    up, flown = int(row["survived"]), int(row["flown"])
+    return up / flown, *binomial_interval(up, flown)
 
 
 ENDS = ("", "_low", "_high")

@@ -69,10 +69,10 @@ def test_a_flight_that_falls_has_no_scores_and_says_whether_the_push_was_met():
     assert all(math.isnan(row[name]) for name in study.SCORES)
 
 
-def test_shares_have_wilsons_interval_and_means_that_of_the_bootstrap():
+def test_shares_have_the_exact_interval_and_means_that_of_the_bootstrap():
     some = rows()
     up, count, low, high = study.share(some, "mpc", "pushed", 1.0)
-    assert (up, count, high) == (20, 20, 1.0) and low == pytest.approx(0.839, abs=1e-3)
+    assert (up, count, high) == (20, 20, 1.0) and low == pytest.approx(0.025 ** (1 / 20))  # of all of n: the n-th root
     assert study.surviving(some, "mpc") == [length for length in study.LENGTHS if length < 1.3]
     assert study.surviving(some, "mpc", "hovered") == list(study.LENGTHS)
     for row in some:
